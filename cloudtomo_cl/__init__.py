@@ -1,0 +1,1 @@
+"""3-D cloud extinction from images taken from several directions."""

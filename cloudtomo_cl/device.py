@@ -1,0 +1,166 @@
+"""OpenCL devices: list them, choose one, build kernels for it."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import resources
+from typing import Any
+
+from cloudtomo_cl.errors import BuildError, DeviceError
+
+ENVIRONMENT_VARIABLE = "CLOUDTOMO_DEVICE"
+WORK_GROUP_SIZE = 64
+_FIXED_POINT_EXTENSION = "cl_khr_int64_base_atomics"
+
+
+@dataclass(frozen=True)
+class DeviceInfo:
+    """A device as `cloudtomo devices` lists it. Memory in bytes."""
+
+    index: int
+    platform: str
+    name: str
+    kind: str
+    compute_units: int
+    memory: int
+    version: str
+    accumulation: str
+
+
+def _import_pyopencl() -> Any:
+    # PoCL's wheel warns about every kernel that it compiles; a failed build raises anyway.
+    os.environ.setdefault("PYOPENCL_COMPILER_OUTPUT", "0")
+    import pyopencl
+
+    return pyopencl
+
+
+def _opencl_devices() -> list[Any]:
+    """All devices, GPUs first, in the order the platforms give them."""
+    cl = _import_pyopencl()
+    try:
+        platforms = cl.get_platforms()
+    except cl.Error as error:
+        raise DeviceError(f"no OpenCL platform ({error}): install one, for instance pip install 'pyopencl[pocl]'") from None
+    devices = [device for platform in platforms for device in platform.get_devices()]
+    if not devices:
+        raise DeviceError("no OpenCL device: install a driver, for instance pip install 'pyopencl[pocl]'")
+    order = {cl.device_type.GPU: 0, cl.device_type.ACCELERATOR: 1}
+    return sorted(devices, key=lambda device: order.get(device.type & ~cl.device_type.DEFAULT, 2))
+
+
+def _accumulation(device: Any) -> str:
+    return "64-bit fixed point" if _FIXED_POINT_EXTENSION in device.extensions.split() else "float compare-and-swap"
+
+
+def _kind(device: Any) -> str:
+    cl = _import_pyopencl()
+    return cl.device_type.to_string(device.type & ~cl.device_type.DEFAULT)
+
+
+def list_devices() -> list[DeviceInfo]:
+    """Every OpenCL device of this machine; the index is what `choose_device` takes.
+
+    Raises
+    ------
+    DeviceError : there is none
+    """
+    return [
+        DeviceInfo(
+            index=index,
+            platform=device.platform.name.strip(),
+            name=device.name.strip(),
+            kind=_kind(device),
+            compute_units=device.max_compute_units,
+            memory=device.global_mem_size,
+            version=device.version.strip(),
+            accumulation=_accumulation(device),
+        )
+        for index, device in enumerate(_opencl_devices())
+    ]
+
+
+class Device:
+    """An OpenCL device with its context, queue and built kernels."""
+
+    def __init__(self, opencl_device: Any) -> None:
+        cl = _import_pyopencl()
+        self.opencl = opencl_device
+        self.context = cl.Context([opencl_device])
+        self.queue = cl.CommandQueue(self.context)
+        self.name = opencl_device.name.strip()
+        self.accumulation = _accumulation(opencl_device)
+        self._programs: dict[str, Any] = {}
+        self._kernels: dict[tuple[str, str], Any] = {}
+
+    def __repr__(self) -> str:
+        return f"Device({self.name!r})"
+
+    @property
+    def fixed_point(self) -> bool:
+        """Whether gradients are summed as 64-bit integers."""
+        return self.accumulation == "64-bit fixed point"
+
+    @cached_property
+    def _preamble(self) -> str:
+        from cloudtomo_cl.layout import declarations
+
+        # Without contraction a path takes the same turns wherever its code is inlined.
+        return "#pragma OPENCL FP_CONTRACT OFF\n" + declarations(self.opencl)
+
+    def build(self, source: str) -> Any:
+        """Builds OpenCL C that may include the shipped kernel headers; built once per source.
+
+        Raises
+        ------
+        BuildError : with device, options and the compiler's log
+        """
+        if source not in self._programs:
+            cl = _import_pyopencl()
+            options = ["-cl-std=CL1.2", "-I", str(resources.files("cloudtomo_cl.kernels"))]
+            if self.fixed_point:
+                options += ["-D", "CLOUDTOMO_FIXED_POINT"]
+            try:
+                self._programs[source] = cl.Program(self.context, f"{self._preamble}\n{source}").build(options)
+            except cl.Error as error:
+                raise BuildError(f"device {self.name}: a kernel did not build\noptions: {' '.join(options)}\n{error}") from None
+        return self._programs[source]
+
+    def kernel(self, file: str, name: str) -> Any:
+        """A kernel of a shipped file, for instance kernel("render", "render_paths")."""
+        if (file, name) not in self._kernels:
+            cl = _import_pyopencl()
+            self._kernels[file, name] = cl.Kernel(self.build(f'#include "{file}.cl"\n'), name)
+        return self._kernels[file, name]
+
+    def launch(self, kernel: Any, work_items: int, *arguments: Any) -> None:
+        """Runs a kernel on at least `work_items` work items (kernels skip the rest)."""
+        groups = -(-work_items // WORK_GROUP_SIZE)
+        kernel(self.queue, (groups * WORK_GROUP_SIZE,), (WORK_GROUP_SIZE,), *arguments)
+
+
+def choose_device(name: str | int | None = None) -> Device:
+    """Opens a device.
+
+    Parameters
+    ----------
+    name : an index of `list_devices`, or a part of a device's or platform's name; by default
+        the environment variable CLOUDTOMO_DEVICE, else the first device, GPUs before CPUs
+
+    Raises
+    ------
+    DeviceError : there is no such device
+    """
+    devices = _opencl_devices()
+    wanted = str(name) if name is not None else os.environ.get(ENVIRONMENT_VARIABLE, "0")
+    if wanted.isdigit():
+        if int(wanted) < len(devices):
+            return Device(devices[int(wanted)])
+    else:
+        for device in devices:
+            if wanted.lower() in f"{device.platform.name} {device.name}".lower():
+                return Device(device)
+    listed = "; ".join(f"{index}: {device.name.strip()}" for index, device in enumerate(devices))
+    raise DeviceError(f"no OpenCL device {wanted!r}; there are {listed} (choose an index or a part of a name)")

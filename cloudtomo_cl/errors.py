@@ -1,0 +1,25 @@
+"""Named errors: each says what is wrong, where, and what to do."""
+
+
+class CloudtomoError(Exception):
+    """Base of this package's errors; the command line shows its text and exits with 2."""
+
+
+class DeviceError(CloudtomoError):
+    """No such device, or a device that failed."""
+
+
+class BuildError(DeviceError):
+    """A kernel did not build; the text has device, options and log."""
+
+
+class SettingsError(CloudtomoError):
+    """A key of the settings is missing, misspelt or out of range."""
+
+
+class DataError(CloudtomoError):
+    """A file or an array does not hold what it must."""
+
+
+class TransportError(CloudtomoError):
+    """A rendered radiance or a gradient is not finite, or paths were lost."""

@@ -1,0 +1,88 @@
+"""The structs that host and kernels share: one description serves both sides."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.scene import Scene
+from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+
+STRUCTS: dict[str, np.dtype] = {
+    "Scene": np.dtype(
+        [
+            ("shape", np.int32, 3),  # voxels along x, y, z
+            ("periodic", np.int32),  # horizontally
+            ("spacing", np.float32, 3),  # km
+            ("base_height", np.float32),  # of the domain above the ground, km
+            ("sun", np.float32, 3),  # unit vector towards the sun
+            ("asymmetry", np.float32),  # g of the droplets' Henyey-Greenstein phase function
+            ("droplet_albedo", np.float32),  # single-scattering albedo
+            ("air_albedo", np.float32),  # single-scattering albedo
+            ("surface_albedo", np.float32),
+            ("side_flights", np.int32),  # 0: the plain local estimate
+        ]
+    ),
+    "View": np.dtype(
+        [
+            ("origin", np.float32, 9),  # km from the domain's lower corner: at (0, 0), per u, per v
+            ("direction", np.float32, 9),
+            ("width", np.int32),  # pixels
+            ("height", np.int32),
+        ]
+    ),
+    "PixelSums": np.dtype(
+        [
+            ("half_sum", np.float32, 2),  # radiances of even and odd samples, sr^-1
+            ("half_low", np.float32, 2),  # what rounding cut off the sums
+            ("square_sum", np.float32),  # of all samples, sr^-2
+            ("square_low", np.float32),
+        ]
+    ),
+}
+
+
+def declarations(device: Any) -> str:
+    """OpenCL C declarations of all structs, checked against the device's own layout."""
+    from pyopencl.tools import get_or_register_dtype, match_dtype_to_c_struct
+
+    parts = []
+    for name, dtype in STRUCTS.items():
+        matched, declaration = match_dtype_to_c_struct(device, name, dtype)
+        get_or_register_dtype(name, matched)
+        if matched != dtype:
+            raise AssertionError(f"struct {name}: the device pads it to {matched}")
+        parts.append(declaration)
+    return "\n".join(parts)
+
+
+def scene_struct(scene: Scene, side_flights: bool) -> np.ndarray:
+    """The kernels' Scene, shape ()."""
+    struct = np.zeros((), STRUCTS["Scene"])
+    struct["shape"] = scene.grid.shape
+    struct["periodic"] = scene.boundary.horizontal == "periodic"
+    struct["spacing"] = scene.grid.spacing
+    struct["base_height"] = scene.grid.origin[2]
+    struct["sun"] = scene.sun.direction
+    struct["asymmetry"] = scene.cloud.phase_function.g
+    struct["droplet_albedo"] = scene.cloud.single_scattering_albedo
+    struct["air_albedo"] = scene.air.single_scattering_albedo if scene.air else 1.0
+    struct["surface_albedo"] = scene.surface.albedo
+    struct["side_flights"] = side_flights
+    return struct
+
+
+def view_structs(views: Sequence[PerspectiveView | OrthographicView], grid: Grid) -> np.ndarray:
+    """The kernels' View of every view, shape (views,)."""
+    structs = np.zeros(len(views), STRUCTS["View"])
+    for struct, view in zip(structs, views):
+        origin, direction = view.rays(grid)
+        origin = origin.copy()
+        origin[0] -= grid.origin
+        struct["origin"] = origin.ravel()
+        struct["direction"] = direction.ravel()
+        struct["width"], struct["height"] = view.pixels
+    return structs

@@ -1,0 +1,54 @@
+"""Measured images and the views they were taken from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.grid import resample
+from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Images of one cloud.
+
+    Attributes
+    ----------
+    views : one per image
+    images : radiance, W m^-2 sr^-1, each of shape (rows, columns) of its view
+    standard_errors : of the radiances, same unit and shapes; zero where unknown
+    """
+
+    views: tuple[PerspectiveView | OrthographicView, ...]
+    images: tuple[np.ndarray, ...]
+    standard_errors: tuple[np.ndarray, ...]
+
+    def __post_init__(self) -> None:
+        for name, arrays in (("images", self.images), ("standard_errors", self.standard_errors)):
+            if len(arrays) != len(self.views):
+                raise DataError(f"measurements: {len(arrays)} {name} for {len(self.views)} views")
+            for index, (view, array) in enumerate(zip(self.views, arrays)):
+                if array.shape != view.pixels[::-1]:
+                    raise DataError(
+                        f"measurements: {name} of view {index} have shape {array.shape}, "
+                        f"the view has {view.pixels[1]} rows and {view.pixels[0]} columns"
+                    )
+                wrong = ~np.isfinite(array)
+                if wrong.any():
+                    row, column = np.argwhere(wrong)[0]
+                    raise DataError(f"measurements: {name} of view {index} are not finite at row {row}, column {column}")
+
+    def resampled(self, pixels: Sequence[tuple[int, int]]) -> Measurements:
+        """The same images averaged over larger pixels, (width, height) for each view."""
+        views, images, errors = [], [], []
+        for view, image, error, (width, height) in zip(self.views, self.images, self.standard_errors, pixels):
+            views.append(replace(view, pixels=(width, height)))
+            images.append(resample(image, (height, width)))
+            # Independent pixels: variances add with the squares of their shares.
+            share = width * height / image.size
+            errors.append(np.sqrt(resample(error**2, (height, width)) * min(share, 1.0)))
+        return Measurements(tuple(views), tuple(images), tuple(errors))

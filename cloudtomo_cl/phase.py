@@ -1,0 +1,19 @@
+"""Phase functions of droplets: densities over the sphere in sr^-1, integral 1."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class HenyeyGreenstein:
+    """Henyey and Greenstein 1941; g is the asymmetry, positive for forward scattering."""
+
+    g: Annotated[float, Field(gt=-1, lt=1)]
+    type: Literal["henyey-greenstein"] = "henyey-greenstein"
+
+
+PhaseFunction = HenyeyGreenstein

@@ -1,0 +1,150 @@
+"""Views: where the sensors stand and how their images lie.
+
+Row 0 is the top of an image as the viewer sees it, columns run left to right. Every view
+gives its rays as affine functions of the image coordinates (u, v) in [0, 1]^2, u to the
+right and v down from the upper left corner: that is all that the kernels know of a sensor.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from cloudtomo_cl.grid import Count, Grid, Length, Triple
+from cloudtomo_cl.scene import direction
+
+Pixels = tuple[Count, Count]
+
+
+def image_axes(line_of_sight: np.ndarray, up: Triple) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors to the right and up in the image of a viewer looking along a direction.
+
+    Raises
+    ------
+    ValueError : `up` is parallel to the line of sight
+    """
+    right = np.cross(line_of_sight, np.asarray(up, dtype=float))
+    norm = np.linalg.norm(right)
+    if norm < 1e-6 * max(np.linalg.norm(up), 1e-300):
+        raise ValueError("up is parallel to the line of sight: choose another, for instance [0, 1, 0]")
+    right /= norm
+    return right, np.cross(right, line_of_sight)
+
+
+def line_of_sight(position: Triple, target: Triple) -> np.ndarray:
+    """Unit vector from position to target."""
+    sight = np.subtract(target, position)
+    norm = np.linalg.norm(sight)
+    if norm == 0:
+        raise ValueError("position and target are the same point: move one of them")
+    return sight / norm
+
+
+@dataclass(frozen=True)
+class PerspectiveView:
+    """A pinhole camera.
+
+    Attributes
+    ----------
+    position, target : km; the camera stands at position and looks at target
+    up : a direction that is up in the image
+    field_of_view : degrees, across the image's width
+    pixels : (width, height); pixels are square
+    """
+
+    position: Triple
+    target: Triple
+    field_of_view: Annotated[float, Field(gt=0, lt=180)]
+    pixels: Pixels
+    up: Triple = (0.0, 0.0, 1.0)
+    type: Literal["perspective"] = "perspective"
+
+    @model_validator(mode="after")
+    def _check(self) -> PerspectiveView:
+        image_axes(line_of_sight(self.position, self.target), self.up)
+        if self.position[2] < 0:
+            raise ValueError("position lies below the ground, z = 0: raise it")
+        return self
+
+    def rays(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+        """Ray origins (km) and directions as affine functions of (u, v).
+
+        Returns two arrays of shape (3, 3): the value at (0, 0), its change over u, over v.
+        """
+        sight = line_of_sight(self.position, self.target)
+        right, up = image_axes(sight, self.up)
+        width = 2 * np.tan(np.radians(self.field_of_view) / 2)
+        height = width * self.pixels[1] / self.pixels[0]
+        corner = sight - width / 2 * right + height / 2 * up
+        origin = np.array([self.position, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
+        return origin, np.array([corner, width * right, -height * up])
+
+
+@dataclass(frozen=True)
+class OrthographicView:
+    """Parallel rays, as from a satellite far away.
+
+    The line of sight is given by position and target, or by the direction (zenith, azimuth)
+    from the scene to the sensor; the image's centre then looks at the target, by default
+    the domain's centre, from beyond the domain.
+
+    Attributes
+    ----------
+    width : of the image in km, measured across the rays
+    pixels : (width, height); pixels are square
+    position, target : km
+    zenith, azimuth : degrees; zenith below 90 (use position and target to look up)
+    up : a direction that is up in the image; for a line of sight along z the default is north
+    """
+
+    width: Length
+    pixels: Pixels
+    position: Triple | None = None
+    target: Triple | None = None
+    zenith: Annotated[float, Field(ge=0, lt=90)] | None = None
+    azimuth: float = 0.0
+    up: Triple | None = None
+    type: Literal["orthographic"] = "orthographic"
+
+    @model_validator(mode="after")
+    def _check(self) -> OrthographicView:
+        if (self.position is None) == (self.zenith is None):
+            raise ValueError("give either position and target, or zenith and azimuth")
+        if self.position is not None:
+            if self.target is None:
+                raise ValueError("position needs a target")
+            if self.position[2] < 0:
+                raise ValueError("position lies below the ground, z = 0: raise it")
+            image_axes(line_of_sight(self.position, self.target), self._up)
+        return self
+
+    @property
+    def _up(self) -> Triple:
+        if self.up is not None:
+            return self.up
+        vertical = self.zenith == 0 if self.position is None else self.position[:2] == self.target[:2]  # type: ignore[index]
+        return (0.0, 1.0, 0.0) if vertical else (0.0, 0.0, 1.0)
+
+    def rays(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+        """Ray origins (km) and directions as affine functions of (u, v); see PerspectiveView."""
+        height = self.width * self.pixels[1] / self.pixels[0]
+        if self.position is not None and self.target is not None:
+            sight = line_of_sight(self.position, self.target)
+            centre = np.asarray(self.position)
+        else:
+            assert self.zenith is not None
+            sight = -direction(self.zenith, self.azimuth)
+            target = np.asarray(grid.centre if self.target is None else self.target)
+            # Far enough up that the whole image plane lies above the domain.
+            top = grid.origin[2] + grid.extent[2]
+            rise = top - target[2] + (self.width + height) * np.sin(np.radians(self.zenith))
+            centre = target - sight * max(rise, 0.0) / np.cos(np.radians(self.zenith))
+        right, up = image_axes(sight, self._up)
+        corner = centre - self.width / 2 * right + height / 2 * up
+        return np.array([corner, self.width * right, -height * up]), np.array([sight, np.zeros(3), np.zeros(3)])
+
+
+View = Annotated[PerspectiveView | OrthographicView, Field(discriminator="type")]

@@ -1,0 +1,1 @@
+"""OpenCL C sources, shipped as the package cloudtomo_cl.kernels."""

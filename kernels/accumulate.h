@@ -1,0 +1,39 @@
+/* How many work items add into one voxel.
+ *
+ * With 64-bit integer atomics, values are rounded to integers and summed in fixed point: the
+ * sum has the same bits whatever the order. Without, floats are summed by compare-and-swap.
+ * In both cases the host has scaled the adjoint so that one unit is the wanted resolution. */
+#ifndef CLOUDTOMO_ACCUMULATE_H
+#define CLOUDTOMO_ACCUMULATE_H
+
+#ifdef CLOUDTOMO_FIXED_POINT
+#pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable
+typedef long Accumulator;
+
+inline void accumulate(volatile __global Accumulator *sum, float value)
+{
+    atom_add(sum, convert_long_sat_rte(value));
+}
+#else
+typedef float Accumulator;
+
+inline void accumulate(volatile __global Accumulator *sum, float value)
+{
+    volatile __global uint *bits = (volatile __global uint *)sum;
+    uint expected = *bits, seen;
+    while ((seen = atomic_cmpxchg(bits, expected, as_uint(as_float(expected) + value))) != expected)
+        expected = seen;
+}
+#endif
+
+/* A sum of many floats that does not drift: sum + low is exact to about twice the bits
+ * (Knuth's two-sum). */
+inline void add_compensated(float *sum, float *low, float value)
+{
+    const float total = *sum + value;
+    const float part = total - *sum;
+    *low += (*sum - (total - part)) + (value - part);
+    *sum = total;
+}
+
+#endif

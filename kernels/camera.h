@@ -1,0 +1,31 @@
+/* Sensors: from a sample to a ray.
+ *
+ * Every projection whose rays' origins and directions are affine in the image coordinates
+ * is one formula (perspective: fixed origin; orthographic: fixed direction), so the kernel
+ * has no cases. Image coordinates (u, v) run over [0, 1]^2 from the upper left corner, u to
+ * the right and v down. */
+#ifndef CLOUDTOMO_CAMERA_H
+#define CLOUDTOMO_CAMERA_H
+
+inline float3 affine(const __global float *coefficients, float u, float v)
+{
+    return (float3)(coefficients[0] + u * coefficients[3] + v * coefficients[6],
+                    coefficients[1] + u * coefficients[4] + v * coefficients[7],
+                    coefficients[2] + u * coefficients[5] + v * coefficients[8]);
+}
+
+/* The ray of a sample: uniform over its pixel. */
+inline Ray camera_ray(const __constant Scene *scene, const __global View *view, const SampleKey *key)
+{
+    const float4 jitter = uniforms(key, 0u);
+    const float u = ((float)(key->pixel % (uint)view->width) + jitter.x) / (float)view->width;
+    const float v = ((float)(key->pixel / (uint)view->width) + jitter.y) / (float)view->height;
+    Ray ray;
+    ray.position = affine(view->origin, u, v) / grid_spacing(scene);
+    ray.direction = normalize(affine(view->direction, u, v));
+    ray.voxel = (int3)(0);
+    ray.inside = false;
+    return ray;
+}
+
+#endif

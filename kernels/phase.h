@@ -1,0 +1,55 @@
+/* Phase functions: evaluate (sr^-1, integral over the sphere 1) and sample the cosine of
+ * the scattering angle. Light from the sun that scatters towards a backward path of
+ * direction d has scattering cosine dot(d, sun), with `sun` pointing to the sun. */
+#ifndef CLOUDTOMO_PHASE_H
+#define CLOUDTOMO_PHASE_H
+
+#define ONE_OVER_PI 0.318309886183790672f /* 1 / pi, sr^-1 of a Lambertian surface */
+
+/* Henyey and Greenstein 1941. g: asymmetry, -1 < g < 1. */
+inline float henyey_greenstein(float cosine, float g)
+{
+    const float base = fmax(1.0f + g * g - 2.0f * g * cosine, (1.0f - fabs(g)) * (1.0f - fabs(g)));
+    return 0.25f * ONE_OVER_PI * (1.0f - g * g) / (base * sqrt(base));
+}
+
+/* The inverse of its distribution function, expanded so that nothing cancels as g -> 0. */
+inline float sample_henyey_greenstein(float u, float g)
+{
+    const float t = 2.0f * u - 1.0f;
+    const float s = 1.0f + g * t;
+    const float cosine = (t + 0.5f * g * (t * t + 3.0f) + g * g * t
+                          + 0.5f * g * g * g * (t * t - 1.0f)) / (s * s);
+    return clamp(cosine, -1.0f, 1.0f);
+}
+
+/* Scalar Rayleigh: 3 / (16 pi) (1 + cos^2). */
+inline float rayleigh(float cosine)
+{
+    return 0.1875f * ONE_OVER_PI * (1.0f + cosine * cosine);
+}
+
+/* Root of c^3 + 3 c = 8 u - 4 (Cardano). */
+inline float sample_rayleigh(float u)
+{
+    const float q = 4.0f * u - 2.0f;
+    const float root = cbrt(fabs(q) + sqrt(q * q + 1.0f)); /* >= 1: no cancellation */
+    return clamp(copysign(root - 1.0f / root, q), -1.0f, 1.0f);
+}
+
+/* A unit vector at the given cosine from `axis` and azimuth 2 pi u around it
+ * (frame: Duff et al. 2017, "Building an orthonormal basis, revisited"). */
+inline float3 direction_around(float3 axis, float cosine, float u)
+{
+    const float sign = copysign(1.0f, axis.z);
+    const float a = -1.0f / (sign + axis.z);
+    const float b = axis.x * axis.y * a;
+    const float3 first = (float3)(1.0f + sign * axis.x * axis.x * a, sign * b, -sign * axis.x);
+    const float3 second = (float3)(b, sign + axis.y * axis.y * a, -axis.y);
+    const float sine = sqrt(fmax(1.0f - cosine * cosine, 0.0f));
+    float cos_azimuth;
+    const float sin_azimuth = sincos(6.283185307179586f * u, &cos_azimuth);
+    return normalize(sine * (cos_azimuth * first + sin_azimuth * second) + cosine * axis);
+}
+
+#endif
