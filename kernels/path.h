@@ -155,17 +155,16 @@ inline Particle choose_particle(const __constant Scene *scene, const Flight *fli
 }
 
 /* Radiance of the sunlight that reaches the ray's position: weight (sr^-1) times the
- * transmittance to the sun. With side flights on, a roulette ends walks that would bring
- * less than its threshold; the mean is kept. */
-inline float local_estimate(const Medium *medium, const Ray *at, float weight, float u, Record *record)
+ * transmittance to the sun. A threshold above 0 (sr^-1) plays a roulette that ends walks
+ * which would bring less; the mean is kept. */
+inline float local_estimate(const Medium *medium, const Ray *at, float weight, float threshold, float u,
+                            Record *record)
 {
-    const __constant Scene *scene = medium->scene;
-    const float threshold = scene->side_flights ? LOCAL_ESTIMATE_ROULETTE : 0.0f;
     const float least = u * threshold;
     if (weight <= least)
         return 0.0f;
     Ray ray = *at;
-    ray.direction = sun_direction(scene);
+    ray.direction = sun_direction(medium->scene);
     const float reach = threshold > 0.0f ? log(weight / least) : INFINITY;
     const Flight flight = fly(medium, &ray, reach, 0.0f, record);
     return flight.collided ? 0.0f : fmax(weight * exp(-flight.depth), threshold);
@@ -213,7 +212,7 @@ inline void side_flights(const Medium *medium, const Ray *at, Particle particle,
         const float estimate = weight * albedo * density
                                * scatter_density(scene, target, ray.direction, sun)
                                / (density + count * sun_density);
-        const float radiance = local_estimate(medium, &ray, estimate, roulette, record);
+        const float radiance = local_estimate(medium, &ray, estimate, LOCAL_ESTIMATE_ROULETTE, roulette, record);
 #ifdef CLOUDTOMO_REPLAY
         if (radiance > 0.0f) {
             Ray again = start;
@@ -267,7 +266,10 @@ inline void trace_path(const Medium *medium, Ray ray, const SampleKey *key, Reco
         weight *= albedo;
 
         const float towards_sun = scatter_density(scene, particle, ray.direction, sun);
-        const float radiance = local_estimate(medium, &ray, own_share * weight * towards_sun, v.x, record);
+        /* What a camera sees directly, and the ground, stay free of the roulette's noise. */
+        const bool roulette = scene->side_flights && event > 1u && particle != PARTICLE_SURFACE;
+        const float radiance = local_estimate(medium, &ray, own_share * weight * towards_sun,
+                                              roulette ? LOCAL_ESTIMATE_ROULETTE : 0.0f, v.x, record);
         deposit_local_estimate(medium, &ray, radiance, record);
         record->radiance += radiance;
 

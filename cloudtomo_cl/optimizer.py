@@ -1,0 +1,77 @@
+"""Steps of stochastic descent, projected onto extinctions at or above a floor."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from cloudtomo_cl.device import Device
+from cloudtomo_cl.scene import NotNegative, Positive
+
+Decay = Annotated[float, Field(ge=0, lt=1)]
+
+
+@dataclass(frozen=True)
+class Optimizer:
+    """How an iteration moves the extinction.
+
+    Attributes
+    ----------
+    type : "adam" (Kingma and Ba 2015) or "sgd", plain gradient descent
+    step : ADAM: length of a step in the variable; SGD: factor of the gradient
+    variable : "extinction" (km^-1), or its "square-root" (km^-1/2), in which thin voxels take
+        smaller steps
+    floor : least extinction inside the mask, km^-1; the score function needs it above 0
+    decay1, decay2 : of ADAM's moments
+    """
+
+    type: Literal["adam", "sgd"] = "adam"
+    step: Positive = 0.2
+    variable: Literal["extinction", "square-root"] = "square-root"
+    floor: NotNegative = 0.01
+    decay1: Decay = 0.9
+    decay2: Decay = 0.99
+
+
+class Descent:
+    """An optimizer's state on a device. Its moments start at zero: a new stage, a new Descent.
+
+    Parameters
+    ----------
+    extinction : on the device, float32, km^-1; changed by every step
+    mask : bool, same shape; voxels outside stay 0
+    """
+
+    def __init__(self, optimizer: Optimizer, extinction: Any, mask: np.ndarray, device: Device) -> None:
+        import pyopencl.array as cl_array
+
+        self.optimizer = optimizer
+        self.device = device
+        self.extinction = extinction
+        self.steps = 0
+        self._mask = cl_array.to_device(device.queue, np.ascontiguousarray(mask, np.uint8))
+        self._moments = [cl_array.zeros_like(extinction) for _ in range(2 if optimizer.type == "adam" else 0)]
+        self._kernel = device.kernel("optimizer", f"{optimizer.type}_step")
+
+    def step(self, gradient: Any, scale: float = 1.0) -> None:
+        """One step; `scale` multiplies its length."""
+        optimizer = self.optimizer
+        self.steps += 1
+        arguments = [
+            np.uint32(gradient.size),
+            self.extinction.data,
+            self._mask.data,
+            gradient.data,
+            np.float32(optimizer.step * scale),
+            np.int32(optimizer.variable == "square-root"),
+            np.float32(optimizer.floor),
+        ]
+        if optimizer.type == "adam":
+            decays = (optimizer.decay1, optimizer.decay2)
+            arguments += [moment.data for moment in self._moments]
+            arguments += [np.float32(decay) for decay in decays]
+            arguments += [np.float32(1 / (1 - decay**self.steps)) for decay in decays]
+        self.device.launch(self._kernel, gradient.size, *arguments)

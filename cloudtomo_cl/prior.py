@@ -1,0 +1,84 @@
+"""What is known of clouds before any image: smoothness, and extinction that grows with height."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from cloudtomo_cl.device import Device
+from cloudtomo_cl.scene import NotNegative, Positive
+
+
+@dataclass(frozen=True)
+class Prior:
+    """R = smoothness / 2 ||A b||^2 + monotonicity R_mon, b the extinction in km^-1.
+
+    A is the mean of a voxel's 26 neighbours minus itself; R_mon = -sum tanh(c1 Dz b) tanh(c2 b)
+    over voxels with b > threshold, Dz the central difference along z from voxel to voxel.
+    Source: the supplement's Eqs. 20-23, with the gradient corrected (docs/estimators.md), and
+    the constants of the paper's released code.
+
+    Attributes
+    ----------
+    smoothness : mu1, km^2
+    monotonicity : mu2
+    c1, c2 : km
+    threshold : km^-1
+    """
+
+    smoothness: NotNegative = 0.0
+    monotonicity: NotNegative = 0.0
+    c1: Positive = 0.2
+    c2: Positive = 0.05
+    threshold: Annotated[float, Field(ge=0)] = 0.01
+
+
+class PriorOperator:
+    """Value and gradient of a prior on a device, for one shape of grid."""
+
+    def __init__(self, prior: Prior, shape: tuple[int, int, int], device: Device) -> None:
+        import pyopencl.array as cl_array
+
+        self.prior = prior
+        self.device = device
+        self.shape = shape
+        self._cl_array = cl_array
+        self._kernels = {
+            name: device.kernel("prior", name)
+            for name in ("laplacian", "laplacian_transpose", "monotonicity_terms", "prior_gradient")
+        }
+        self._smooth, self._work, self._value, self._outer, self._inner = (
+            cl_array.zeros(device.queue, shape, np.float32) for _ in range(5)
+        )
+        self._shape = cl_array.vec.make_int3(*shape)
+
+    def _launch(self, name: str, *arguments: Any) -> None:
+        self.device.launch(self._kernels[name], int(np.prod(self.shape)), *arguments)
+
+    def value_and_gradient(self, extinction: Any, weight: float = 1.0) -> tuple[float, Any]:
+        """weight R, and its gradient (km) on the device, for an extinction on the device."""
+        prior, shape = self.prior, self._shape
+        self._launch("laplacian", extinction.data, shape, self._work.data)
+        self._launch("laplacian_transpose", self._work.data, shape, self._smooth.data)
+        self._launch(
+            "monotonicity_terms",
+            extinction.data,
+            shape,
+            *(np.float32(c) for c in (prior.c1, prior.c2, prior.threshold)),
+            *(a.data for a in (self._value, self._outer, self._inner)),
+        )
+        gradient = self._cl_array.empty_like(extinction)
+        self._launch(
+            "prior_gradient",
+            *(a.data for a in (self._smooth, self._outer, self._inner)),
+            shape,
+            np.float32(weight * prior.smoothness),
+            np.float32(weight * prior.monotonicity),
+            gradient.data,
+        )
+        smooth = np.square(self._work.get(), dtype=np.float64).sum()
+        monotone = self._value.get().sum(dtype=np.float64)
+        return weight * (prior.smoothness / 2 * smooth + prior.monotonicity * monotone), gradient
