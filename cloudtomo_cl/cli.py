@@ -155,7 +155,8 @@ class _Version(argparse.Action):
     """Looks the version up only when asked: importlib.metadata is slow to import."""
 
     def __init__(self, option_strings: Sequence[str], dest: str) -> None:
-        super().__init__(option_strings, argparse.SUPPRESS, default=argparse.SUPPRESS, nargs=0, help="print the version and exit")
+        nothing = argparse.SUPPRESS
+        super().__init__(option_strings, nothing, default=nothing, nargs=0, help="print the version and exit")
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from importlib.metadata import version
