@@ -62,11 +62,11 @@ def slice_indices(extinction: np.ndarray) -> list[tuple[int, int]]:
     one goes through the largest extinction, smoothed over neighbours so that a single noisy
     voxel does not choose.
     """
-    from scipy.ndimage import uniform_filter
+    from scipy.ndimage import gaussian_filter
 
     mass = np.cumsum(extinction.sum(axis=(0, 2), dtype=float))
     south, north = (int(np.searchsorted(mass, share * mass[-1])) for share in (1 / 3, 2 / 3))
-    smooth = uniform_filter(np.asarray(extinction, float), 3, mode="constant")
+    smooth = gaussian_filter(np.asarray(extinction, float), 1.0)
     highest = np.unravel_index(np.argmax(smooth), smooth.shape)[2]
     return [(1, south), (1, north), (2, int(highest))]
 
