@@ -19,11 +19,13 @@ from cloudtomo_cl.errors import DataError, SettingsError
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.measurements import Measurements
 from cloudtomo_cl.scene import Scene
+from cloudtomo_cl.transport import RadianceOperator, Rendering
 
 # Columns thinner than this in the vertical are counted as clear.
 COVER_OPTICAL_DEPTH = 0.1
-# Photons per pixel of the images without cloud that carving compares with; little noise is in them.
-_CLEAR_SAMPLES = 64
+# Photons per pixel of the images without cloud that carving compares with. Without air only the
+# horizon makes them noisy.
+_CLEAR_SAMPLES, _CLEAR_SAMPLES_IN_AIR = 16, 256
 _WIDE_TABLE = 160
 
 
@@ -133,7 +135,6 @@ def render(
     from cloudtomo_cl import progress
     from cloudtomo_cl.config import read_render_settings, stored_scene
     from cloudtomo_cl.io import read_extinction, write_measurements
-    from cloudtomo_cl.transport import RadianceOperator
 
     _check_new(output, overwrite)
     if png is not None and not overwrite and any(png.glob("view_*.png")):
@@ -148,9 +149,7 @@ def render(
     with progress.rendering(console, samples) as show:
         rendering = operator.render(extinction, samples, seed, progress=show)
     seconds = time.perf_counter() - start
-    measurements = Measurements(
-        settings.view, tuple(operator.images(rendering.mean)), tuple(operator.images(rendering.standard_error))
-    )
+    measurements = _measurements(operator, rendering)
     photons = samples * len(operator.pixels)
     write_measurements(
         output,
@@ -255,11 +254,17 @@ def reconstruct(
 def _carve(scene: Scene, measurements: Measurements, device: Device) -> np.ndarray:
     """The voxels that the images leave room for."""
     from cloudtomo_cl.carving import carve
-    from cloudtomo_cl.transport import RadianceOperator
 
     operator = RadianceOperator(scene, measurements.views, device)
-    clear = operator.render(np.zeros(scene.grid.shape, np.float32), _CLEAR_SAMPLES)
-    return carve(scene.grid, measurements, operator.images(clear.mean))
+    samples = _CLEAR_SAMPLES if scene.air is None else _CLEAR_SAMPLES_IN_AIR
+    clear = operator.render(np.zeros(scene.grid.shape, np.float32), samples)
+    return carve(scene.grid, measurements, _measurements(operator, clear))
+
+
+def _measurements(operator: RadianceOperator, rendering: Rendering) -> Measurements:
+    """All pixels of a rendering as images."""
+    images, errors = (tuple(operator.images(values)) for values in (rendering.mean, rendering.standard_error))
+    return Measurements(operator.views, images, errors)
 
 
 def _read_measurements(path: Path) -> tuple[Measurements, dict[str, Any]]:

@@ -17,7 +17,7 @@ cp scripts/demo/*.toml "$run"
 echo "1. a cumulus of 32 x 32 x 32 voxels"
 cloudtomo cloud --generate cumulus --shape 32 32 32 --spacing 0.025 0.025 0.025 --seed 1 --output "$run/cloud.nc"
 echo "2. nine views of it"
-cloudtomo render "$run/scene.toml" --samples 512 --seed 1 --output "$run/images.nc" --png "$run/images"
+cloudtomo render "$run/scene.toml" --samples 1024 --seed 1 --output "$run/images.nc" --png "$run/images"
 # Other random numbers than those of the images: nothing is recovered by their coincidence.
 echo "3. the cloud from the nine views, coarse to fine"
 cloudtomo reconstruct "$run/run.toml" --seed 2 --output "$run"
