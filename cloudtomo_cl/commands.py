@@ -255,7 +255,8 @@ def _carve(scene: Scene, measurements: Measurements, device: Device) -> np.ndarr
     """The voxels that the images leave room for."""
     from cloudtomo_cl.carving import carve
 
-    operator = RadianceOperator(scene, measurements.views, device)
+    # Without cloud there is no forward peak to tame, and no roulette is wanted on faint ground.
+    operator = RadianceOperator(scene, measurements.views, device, estimator="plain")
     samples = _CLEAR_SAMPLES if scene.air is None else _CLEAR_SAMPLES_IN_AIR
     clear = operator.render(np.zeros(scene.grid.shape, np.float32), samples)
     return carve(scene.grid, measurements, _measurements(operator, clear))
