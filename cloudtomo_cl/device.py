@@ -57,7 +57,8 @@ def _accumulation(device: Any) -> str:
 
 def _kind(device: Any) -> str:
     cl = _import_pyopencl()
-    return cl.device_type.to_string(device.type & ~cl.device_type.DEFAULT)
+    kinds = ("GPU", "CPU", "ACCELERATOR", "CUSTOM")
+    return " | ".join(kind for kind in kinds if device.type & getattr(cl.device_type, kind))
 
 
 def list_devices() -> list[DeviceInfo]:

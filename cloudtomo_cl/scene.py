@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.grid import Grid, resample
@@ -30,7 +30,7 @@ def direction(zenith: float, azimuth: float) -> np.ndarray:
     return np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Sun:
     """A collimated sun.
 
@@ -50,7 +50,7 @@ class Sun:
         return direction(self.zenith, self.azimuth)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Cloud:
     """Optics of the droplets, the same in every voxel.
 
@@ -64,7 +64,7 @@ class Cloud:
     phase_function: PhaseFunction = HenyeyGreenstein(g=0.85)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Air:
     """Molecules inside the domain; they scatter after Rayleigh.
 
@@ -85,21 +85,21 @@ class Air:
         return resample(np.atleast_1d(np.asarray(self.extinction, dtype=float)), grid.shape[2:])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Surface:
     """A Lambertian surface at z = 0, also outside of an open domain."""
 
     albedo: Fraction = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Boundary:
     """What lies beside the domain: vacuum ("open"), or its copies ("periodic")."""
 
     horizontal: Literal["open", "periodic"] = "open"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Scene:
     """Everything but the extinction and the sensors."""
 

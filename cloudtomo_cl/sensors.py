@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.grid import Count, Grid, Length, Triple
@@ -43,7 +43,7 @@ def line_of_sight(position: Triple, target: Triple) -> np.ndarray:
     return sight / norm
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class PerspectiveView:
     """A pinhole camera.
 
@@ -83,7 +83,7 @@ class PerspectiveView:
         return origin, np.array([corner, width * right, -height * up])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class OrthographicView:
     """Parallel rays, as from a satellite far away.
 

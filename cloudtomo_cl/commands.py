@@ -1,0 +1,344 @@
+"""What the commands of `cloudtomo` do."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+import time
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from cloudtomo_cl.device import Device, choose_device, list_devices
+from cloudtomo_cl.errors import DataError, SettingsError
+from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.scene import Scene
+from cloudtomo_cl.transport import RadianceOperator, Rendering
+
+# Columns thinner than this in the vertical are counted as clear.
+COVER_OPTICAL_DEPTH = 0.1
+# Photons per pixel of the images without cloud that carving compares with. Without air only the
+# horizon makes them noisy.
+_CLEAR_SAMPLES, _CLEAR_SAMPLES_IN_AIR = 16, 256
+_WIDE_TABLE = 160
+
+
+def devices() -> None:
+    """Prints a table of the OpenCL devices."""
+    console = Console()
+    if not console.is_terminal:
+        # Lines for another program to read are not folded.
+        console = Console(width=_WIDE_TABLE)
+    table = Table(box=None)
+    for heading in ("index", "platform", "name", "type", "compute units", "memory", "OpenCL version", "accumulation"):
+        table.add_column(heading)
+    for device in list_devices():
+        table.add_row(
+            str(device.index),
+            device.platform,
+            device.name,
+            device.kind,
+            str(device.compute_units),
+            f"{device.memory / 2**30:.1f} GiB",
+            # "OpenCL 3.0", without what the vendor adds.
+            " ".join(device.version.split()[:2]),
+            device.accumulation,
+        )
+    console.print(table)
+
+
+def cloud(
+    file: Path | None,
+    generate: str | None,
+    shape: list[int] | None,
+    spacing: list[float] | None,
+    seed: int,
+    output: Path | None,
+    quiet: bool,
+    overwrite: bool,
+) -> None:
+    """Summarises the file of a cloud, or generates a cloud."""
+    from cloudtomo_cl.io import read_extinction, write_extinction
+
+    if (file is None) == (generate is None):
+        raise SettingsError("give either FILE to summarise, or --generate cumulus")
+    if generate is None:
+        if shape or spacing or output:
+            raise SettingsError("--shape, --spacing and --output belong to --generate")
+        grid, extinction = read_extinction(file)
+    else:
+        missing = [
+            f"--{name}"
+            for name, value in (("shape", shape), ("spacing", spacing), ("output", output))
+            if value is None
+        ]
+        if shape is None or spacing is None or output is None:
+            raise SettingsError(f"--generate needs {', '.join(missing)} too")
+        _check_new(output, overwrite)
+        from cloudtomo_cl.clouds import cumulus
+
+        grid = _grid(shape, spacing)
+        extinction = cumulus(grid, seed=seed)
+        write_extinction(output, grid, extinction, {"source": _source(), "generator": generate, "seed": seed})
+    if not quiet:
+        _summarise(grid, extinction)
+
+
+def _grid(shape: list[int], spacing: list[float]) -> Grid:
+    from pydantic import ValidationError
+
+    try:
+        return Grid(shape=tuple(shape), spacing=tuple(spacing))
+    except ValidationError as error:
+        first = error.errors()[0]
+        message = first["msg"].replace("Input should be", "must be")
+        raise SettingsError(f"--{first['loc'][0]}: {message}, is {first['input']}") from None
+
+
+def _summarise(grid: Grid, extinction: np.ndarray) -> None:
+    extinction = np.asarray(extinction, dtype=float)
+    depth = extinction.sum(axis=2) * grid.spacing[2]
+    cloudy = extinction > 0
+    rows = {
+        "voxels": " x ".join(map(str, grid.shape)),
+        "spacing": f"{' x '.join(f'{edge:g}' for edge in grid.spacing)} km",
+        "domain": ", ".join(
+            f"{axis} {origin:g} to {origin + edge:g} km" for axis, origin, edge in zip("xyz", grid.origin, grid.extent)
+        ),
+        "largest extinction": f"{extinction.max():.4g} km^-1",
+        "mean extinction": f"{extinction.mean():.4g} km^-1 ({extinction[cloudy].mean():.4g} km^-1 in cloudy voxels)",
+        "vertical optical depth": f"largest {depth.max():.4g}, mean {depth.mean():.4g}",
+        "cover": f"{(depth > COVER_OPTICAL_DEPTH).mean():.1%} of columns deeper than {COVER_OPTICAL_DEPTH}",
+        "optical mass": f"{extinction.sum() * grid.voxel_volume:.4g} km^2",
+    }
+    for name, value in rows.items():
+        print(f"{name:<24}{value}")
+
+
+def render(
+    scene: Path,
+    samples: int,
+    seed: int,
+    output: Path,
+    png: Path | None,
+    device: str | None,
+    quiet: bool,
+    overwrite: bool,
+) -> None:
+    """Renders a scene file into a file of measurements."""
+    from cloudtomo_cl import progress
+    from cloudtomo_cl.config import read_render_settings, stored_scene
+    from cloudtomo_cl.io import read_extinction, write_measurements
+
+    _check_new(output, overwrite)
+    if png is not None and not overwrite and any(png.glob("view_*.png")):
+        raise DataError(f"{png}: holds previews already: choose another folder, or add --overwrite")
+    settings = read_render_settings(scene)
+    grid, extinction = read_extinction(settings.cloud.file)
+    described = settings.scene(grid)
+    chosen = choose_device(device)
+    operator = RadianceOperator(described, settings.view, chosen)
+    console = Console(quiet=quiet)
+    start = time.perf_counter()
+    with progress.rendering(console, samples) as show:
+        rendering = operator.render(extinction, samples, seed, progress=show)
+    seconds = time.perf_counter() - start
+    measurements = _measurements(operator, rendering)
+    photons = samples * len(operator.pixels)
+    write_measurements(
+        output,
+        measurements,
+        {"source": _source(), "device": chosen.name, "photons": float(photons), "seconds": seconds},
+        {"scene": stored_scene(described), "cloud_file": settings.cloud.file.name, "samples": samples, "seed": seed},
+    )
+    for index, (image, error) in enumerate(zip(measurements.images, measurements.standard_errors)):
+        # Pixels have random numbers of their own: their variances add.
+        mean_error = np.sqrt((error**2).sum()) / image.size
+        line = f"view {index}: mean radiance {image.mean():.5g} ± {mean_error:.1g} W m^-2 sr^-1"
+        console.print(line, highlight=False, soft_wrap=True)
+    console.print(f"{photons:.3g} photons in {progress.duration(seconds)} on {chosen.name}: {output}", soft_wrap=True)
+    if png is not None:
+        from cloudtomo_cl.plots import radiance_limit, save_previews
+
+        save_previews(png, measurements)
+        white = radiance_limit(measurements)
+        console.print(f"previews from 0 (black) to {white:.4g} W m^-2 sr^-1 (white): {png}", soft_wrap=True)
+
+
+def reconstruct(
+    run: Path, seed: int | None, output: Path, device: str | None, quiet: bool, overwrite: bool
+) -> None:
+    """Reconstructs after a run file into a run folder."""
+    from cloudtomo_cl.config import ReconstructSettings, read_reconstruct_settings, stored_scene
+    from cloudtomo_cl.inversion import reconstruct as recover
+    from cloudtomo_cl.progress import ReconstructionProgress, duration
+    from cloudtomo_cl.runfolder import RunFolder
+
+    folder = RunFolder(output)
+    folder.check_new(overwrite)
+    settings: ReconstructSettings = read_reconstruct_settings(run)
+    measurements, stored = _read_measurements(settings.measurements.file)
+    if settings.view is not None:
+        measurements = Measurements(settings.view, measurements.images, measurements.standard_errors)
+    scene = settings.scene(stored.get("scene", {}))
+    truth = None if settings.truth is None else _read_truth(settings.truth.file, scene.grid)
+    chosen = choose_device(device)
+    seed = settings.run.seed if seed is None else seed
+    mask = _carve(scene, measurements, chosen)
+    console = Console(quiet=quiet)
+    console.print(f"space carving keeps {mask.mean():.1%} of the voxels", highlight=False)
+    folder.begin(
+        {
+            "settings": settings.model_dump(mode="json", exclude={"measurements", "truth"}),
+            "files": {
+                # As seen from the run folder, so that both may move together.
+                name: os.path.relpath(table.file, output)
+                for name, table in (("measurements", settings.measurements), ("truth", settings.truth))
+                if table is not None
+            },
+            "scene": stored_scene(scene),
+            "seed": seed,
+            "device": _device(chosen),
+            "versions": _versions(),
+        }
+    )
+    try:
+        with ReconstructionProgress(console, settings.run.time_limit) as show:
+
+            def record(iteration: Any) -> None:
+                folder.append(iteration)
+                show(iteration)
+
+            result = recover(
+                scene,
+                measurements,
+                settings.stage,
+                settings.prior,
+                settings.optimizer,
+                mask=mask,
+                device=chosen,
+                seed=seed,
+                time_limit=settings.run.time_limit,
+                truth=truth,
+                callback=record,
+            )
+    finally:
+        folder.close()
+    last = result.history[-1]
+    folder.write_reconstruction(
+        result.grid,
+        result.extinction,
+        result.mask,
+        {"source": _source(), "seed": seed, "photons": float(last.photons), "seconds": last.seconds},
+    )
+    report(output, quiet=True)
+    console.print(f"{last.photons:.3g} photons in {duration(last.seconds)} on {chosen.name}", soft_wrap=True)
+    if truth is None:
+        mass = float(result.extinction.sum(dtype=float)) * result.grid.voxel_volume
+        summary = f"optical mass {mass:.4g} km^2  {output}"
+    else:
+        from cloudtomo_cl.metrics import delta, epsilon
+
+        summary = (
+            f"eps {epsilon(result.extinction, truth):.3f}  delta {delta(result.extinction, truth):+.1%}  {output}"
+        )
+    console.print(summary, highlight=False, soft_wrap=True)
+
+
+def _carve(scene: Scene, measurements: Measurements, device: Device) -> np.ndarray:
+    """The voxels that the images leave room for."""
+    from cloudtomo_cl.carving import carve
+
+    # Without cloud there is no forward peak to tame, and no roulette is wanted on faint ground.
+    operator = RadianceOperator(scene, measurements.views, device, estimator="plain")
+    samples = _CLEAR_SAMPLES if scene.air is None else _CLEAR_SAMPLES_IN_AIR
+    clear = operator.render(np.zeros(scene.grid.shape, np.float32), samples)
+    return carve(scene.grid, measurements, _measurements(operator, clear))
+
+
+def _measurements(operator: RadianceOperator, rendering: Rendering) -> Measurements:
+    """All pixels of a rendering as images."""
+    images, errors = (tuple(operator.images(values)) for values in (rendering.mean, rendering.standard_error))
+    return Measurements(operator.views, images, errors)
+
+
+def _read_measurements(path: Path) -> tuple[Measurements, dict[str, Any]]:
+    """Images, and the settings they were made with; images from elsewhere have none."""
+    from cloudtomo_cl.io import read_measurements, read_settings
+
+    measurements = read_measurements(path)
+    try:
+        return measurements, read_settings(path)
+    except DataError:
+        return measurements, {}
+
+
+def _read_truth(path: Path, grid: Grid) -> np.ndarray:
+    from cloudtomo_cl.io import read_extinction
+
+    grid_of_truth, truth = read_extinction(path)
+    same = grid_of_truth.shape == grid.shape and all(
+        np.allclose(getattr(grid_of_truth, name), getattr(grid, name), rtol=1e-5, atol=1e-6)
+        for name in ("spacing", "origin")
+    )
+    if not same:
+        raise SettingsError(f"truth.file: {path} lies on {grid_of_truth}, the reconstruction on {grid}: use one grid")
+    return truth
+
+
+def report(folder: Path, quiet: bool) -> None:
+    """Makes the figures of a run folder from what it holds."""
+    from cloudtomo_cl.plots import save_figures
+    from cloudtomo_cl.runfolder import RunFolder
+
+    run = RunFolder(folder)
+    grid, extinction, _ = run.read_reconstruction()
+    files = run.read_settings().get("files", {})
+    measurements = truth = None
+    if "measurements" in files:
+        measurements = _if_there(folder / files["measurements"], lambda path: _read_measurements(path)[0])
+    if "truth" in files:
+        truth = _if_there(folder / files["truth"], lambda path: _read_truth(path, grid))
+    for path in save_figures(run.figures, grid, extinction, run.read_history(), truth, measurements):
+        if not quiet:
+            print(path)
+
+
+def _if_there(path: Path, read: Any) -> Any:
+    """What a file holds; a run folder that was moved away from its inputs still gets its other figures."""
+    if path.is_file():
+        return read(path)
+    print(f"cloudtomo report: {path} is not there any more: figures that need it are left out", file=sys.stderr)
+    return None
+
+
+def _check_new(path: Path, overwrite: bool) -> None:
+    """Fails before the work, not after it."""
+    if path.is_dir() or not path.parent.is_dir():
+        raise DataError(f"{path}: is a folder, or in a folder that does not exist: choose another --output")
+    if path.exists() and not overwrite:
+        raise DataError(f"{path}: exists already: choose another --output, or add --overwrite")
+
+
+def _source() -> str:
+    return f"cloudtomo-cl {version('cloudtomo-cl')}"
+
+
+def _device(device: Device) -> dict[str, Any]:
+    return {
+        "name": device.name,
+        "platform": device.opencl.platform.name.strip(),
+        "version": device.opencl.version.strip(),
+        "accumulation": device.accumulation,
+    }
+
+
+def _versions() -> dict[str, str]:
+    packages = ("cloudtomo-cl", "numpy", "scipy", "pyopencl", "pydantic", "xarray", "netCDF4", "matplotlib")
+    return {"python": platform.python_version(), **{package: version(package) for package in packages}}

@@ -1,0 +1,199 @@
+"""Figures. Functions draw into axes or figures that they are given, without pyplot's state.
+
+Lengths in km, x to the right, z up; images with row 0 at the top.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.measurements import Measurements
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+EXTINCTION_LABEL = "extinction (km$^{-1}$)"
+RADIANCE_LABEL = "radiance (W m$^{-2}$ sr$^{-1}$)"
+_AXES = "xyz"
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """A figure that needs no display; inches."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def plot_slice(axes: Axes, grid: Grid, extinction: np.ndarray, normal: int, index: int, largest: float) -> Any:
+    """One layer of voxels, seen along the axis `normal` (0, 1, 2): the next axis runs right, the last up.
+
+    Returns the image, for a colour bar.
+    """
+    right, up = (axis for axis in range(3) if axis != normal)
+    limits = [grid.origin[right], grid.origin[right] + grid.extent[right]]
+    limits += [grid.origin[up], grid.origin[up] + grid.extent[up]]
+    image = axes.imshow(
+        np.take(extinction, index, axis=normal).T,
+        origin="lower",
+        extent=tuple(limits),
+        vmin=0.0,
+        vmax=largest,
+        cmap="viridis",
+        interpolation="nearest",
+    )
+    axes.set_xlabel(f"{_AXES[right]} (km)")
+    axes.set_ylabel(f"{_AXES[up]} (km)")
+    return image
+
+
+def slice_indices(extinction: np.ndarray) -> list[tuple[int, int]]:
+    """Normal and index of the layers to show: two vertical x-z ones and a horizontal one.
+
+    The vertical ones have a third and two thirds of the optical mass on one side. The horizontal
+    one goes through the largest extinction, smoothed over neighbours so that a single noisy
+    voxel does not choose.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    mass = np.cumsum(extinction.sum(axis=(0, 2), dtype=float))
+    south, north = (int(np.searchsorted(mass, share * mass[-1])) for share in (1 / 3, 2 / 3))
+    smooth = gaussian_filter(np.asarray(extinction, float), 1.0)
+    highest = np.unravel_index(np.argmax(smooth), smooth.shape)[2]
+    return [(1, south), (1, north), (2, int(highest))]
+
+
+def plot_slices(figure: Figure, grid: Grid, recovered: np.ndarray, truth: np.ndarray | None = None) -> None:
+    """Recovered extinction in three layers, beside the true one if known, on the same colour scale.
+
+    The layers and the scale are the truth's where it is known.
+    """
+    volumes = {"recovered": recovered} if truth is None else {"true": truth, "recovered": recovered}
+    reference = recovered if truth is None else truth
+    # A few recovered voxels of noise must not darken all others.
+    largest = max(float(reference.max() if truth is not None else np.quantile(recovered, 0.9995)), 1e-9)
+    slices = slice_indices(reference)
+    axes = figure.subplots(len(slices), len(volumes), squeeze=False)
+    for row, (normal, index) in zip(axes, slices):
+        position = grid.centres(normal)[index]
+        for panel, (name, volume) in zip(row, volumes.items()):
+            image = plot_slice(panel, grid, volume, normal, index, largest)
+            panel.set_title(f"{name}, {_AXES[normal]} = {position:.3g} km")
+    figure.colorbar(image, ax=axes, label=EXTINCTION_LABEL, extend="max", shrink=0.6)
+
+
+def plot_history(axes: Axes, history: Mapping[str, np.ndarray]) -> None:
+    """Cost with its noise, and the error if known, against time; stage ends are marked.
+
+    Parameters
+    ----------
+    history : columns as `RunFolder.read_history` gives them
+    """
+    seconds, cost, noise = (history[name] for name in ("seconds", "cost", "cost_standard_error"))
+    axes.set_xscale("log")
+    # The unbiased cost may fall below zero by its noise: logarithmic beyond the noise, linear within.
+    scales = noise[noise > 0] if (noise > 0).any() else cost[cost > 0]
+    if scales.size:
+        axes.set_yscale("symlog", linthresh=float(np.median(scales)))
+    axes.fill_between(seconds, cost - noise, cost + noise, color="tab:blue", alpha=0.2, linewidth=0)
+    lines = axes.plot(seconds, cost, color="tab:blue", linewidth=1, label="cost ± its standard error")
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel("cost")
+    for end in seconds[:-1][np.diff(history["stage"]) != 0]:
+        marker = axes.axvline(end, color="0.6", linewidth=0.8, linestyle=":", label="end of a stage")
+        lines = [*lines[:1], marker]
+    if np.isfinite(history["epsilon"]).any():
+        errors = axes.twinx()
+        lines += errors.plot(seconds, history["epsilon"], color="tab:red", linewidth=1.2, label="error eps")
+        errors.set_ylabel("eps", color="tab:red")
+        errors.set_ylim(0, None)
+    axes.legend(handles=lines, loc="upper right")
+
+
+def plot_scatter(axes: Axes, recovered: np.ndarray, truth: np.ndarray) -> None:
+    """Recovered against true extinction of every voxel that holds cloud in one of them."""
+    cloudy = (truth > 0) | (recovered > 0)
+    largest = max(float(truth.max()), float(np.quantile(recovered, 0.9995)), 1e-9)
+    axes.plot([0, largest], [0, largest], color="0.5", linewidth=1)
+    axes.plot(truth[cloudy], recovered[cloudy], ".", markersize=2, alpha=0.3, rasterized=True)
+    axes.set_xlim(0, largest)
+    axes.set_ylim(0, largest)
+    axes.set_aspect("equal")
+    axes.set_xlabel(f"true {EXTINCTION_LABEL}")
+    axes.set_ylabel(f"recovered {EXTINCTION_LABEL}")
+
+
+def radiance_limit(measurements: Measurements) -> float:
+    """White of the grey scale that all views share; the brightest 0.1 % of the pixels are cut."""
+    pixels = np.concatenate([image.ravel() for image in measurements.images])
+    return max(float(np.quantile(pixels, 0.999)), 1e-12)
+
+
+def _image_columns(measurements: Measurements) -> int:
+    return int(np.ceil(np.sqrt(len(measurements.views))))
+
+
+def plot_images(figure: Figure, measurements: Measurements) -> None:
+    """The views in a grid, on one grey scale, row 0 at the top."""
+    count, columns = len(measurements.views), _image_columns(measurements)
+    axes = figure.subplots(-(-count // columns), columns, squeeze=False)
+    white = radiance_limit(measurements)
+    for index, panel in enumerate(axes.flat):
+        panel.set_axis_off()
+        if index < count:
+            image = panel.imshow(measurements.images[index], cmap="gray", vmin=0, vmax=white, interpolation="nearest")
+            panel.set_title(f"view {index}")
+    figure.colorbar(image, ax=axes, label=RADIANCE_LABEL, extend="max", shrink=0.6)
+
+
+def save_previews(folder: Path, measurements: Measurements) -> list[Path]:
+    """One PNG for each view, pixel by pixel, on one grey scale from 0 to `radiance_limit`."""
+    from matplotlib.image import imsave
+
+    folder.mkdir(parents=True, exist_ok=True)
+    white = radiance_limit(measurements)
+    paths = []
+    for index, image in enumerate(measurements.images):
+        paths.append(folder / f"view_{index}.png")
+        imsave(paths[-1], image, vmin=0.0, vmax=white, cmap="gray", origin="upper")
+    return paths
+
+
+def save_figures(
+    folder: Path,
+    grid: Grid,
+    recovered: np.ndarray,
+    history: Mapping[str, np.ndarray],
+    truth: np.ndarray | None = None,
+    measurements: Measurements | None = None,
+) -> list[Path]:
+    """The figures of a run: slices.png, history.png, and scatter.png, images.png where known."""
+    figures: dict[str, Figure] = {}
+    rows = sum(grid.extent[2 if normal == 1 else 1] / grid.extent[0] for normal in (1, 1, 2))
+    panels = 1 if truth is None else 2
+    figures["slices"] = new_figure(1.5 + 3.2 * panels, min(max(1.5 + 3.0 * rows, 5), 14))
+    plot_slices(figures["slices"], grid, recovered, truth)
+    figures["history"] = new_figure(7, 4.5)
+    plot_history(figures["history"].subplots(), history)
+    if truth is not None:
+        figures["scatter"] = new_figure(5, 5)
+        plot_scatter(figures["scatter"].subplots(), recovered, truth)
+    if measurements is not None:
+        columns = _image_columns(measurements)
+        rows = -(-len(measurements.views) // columns)
+        figures["images"] = new_figure(2.5 * columns + 1.5, 2.7 * rows + 0.3)
+        plot_images(figures["images"], measurements)
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, figure in figures.items():
+        paths.append(folder / f"{name}.png")
+        figure.savefig(paths[-1], dpi=130)
+    return paths

@@ -1,0 +1,257 @@
+"""The command line: files, messages, exit status."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from cloudtomo_cl import commands
+from cloudtomo_cl.cli import main
+from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.io import write_extinction
+
+SCENE = """
+[cloud]
+file = "cloud.nc"
+phase_function = { type = "henyey-greenstein", g = 0.5 }
+[surface]
+albedo = 0.1
+[sun]
+zenith = 30.0
+[[view]]
+type = "perspective"
+position = [2.0, 0.2, 1.5]
+target = [0.3, 0.3, 0.3]
+field_of_view = 40.0
+pixels = [6, 4]
+[[view]]
+type = "orthographic"
+zenith = 0.0
+width = 0.8
+pixels = [5, 5]
+"""
+RUN = """
+[measurements]
+file = "images.nc"
+[truth]
+file = "cloud.nc"
+[[stage]]
+grid = [6, 6, 6]
+samples = 8
+iterations = 3
+"""
+GENERATE = "cloud --generate cumulus --shape 8 8 8 --spacing 0.1 0.1 0.1 --seed 1 --output".split()
+
+
+def write_inputs(folder):
+    """A cloud of 6 x 6 x 6 voxels, a scene file and a run file."""
+    extinction = np.zeros((6, 6, 6), np.float32)
+    extinction[2:4, 2:4, 2:5] = 8.0
+    write_extinction(folder / "cloud.nc", Grid((6, 6, 6), (0.1, 0.1, 0.1)), extinction)
+    (folder / "scene.toml").write_text(SCENE)
+    (folder / "run.toml").write_text(RUN)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The working folder, with the inputs."""
+    write_inputs(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory):
+    """Images of the cloud, rendered once, as bytes."""
+    folder = tmp_path_factory.mktemp("rendered")
+    write_inputs(folder)
+    output = folder / "images.nc"
+    assert main(["render", str(folder / "scene.toml"), "--samples", "16", "--quiet", "--output", str(output)]) == 0
+    return output.read_bytes()
+
+
+def fails(capsys, *arguments):
+    """The message of a command that must fail with exit status 2 and no traceback."""
+    assert main([str(argument) for argument in arguments]) == 2
+    message = capsys.readouterr().err
+    assert "Traceback" not in message
+    return message
+
+
+def test_help_is_fast_and_imports_no_numpy():
+    code = "import sys, cloudtomo_cl.cli as c; c.parser().format_help(); sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
+
+
+@pytest.mark.parametrize("command", ["devices", "cloud", "render", "reconstruct", "report"])
+def test_help_of_every_command_has_an_example(command, capsys):
+    with pytest.raises(SystemExit) as exit_:
+        main([command, "--help"])
+    assert exit_.value.code == 0 and f"cloudtomo {command}" in capsys.readouterr().out.split("example", 1)[1]
+
+
+def test_version(capsys):
+    with pytest.raises(SystemExit):
+        main(["--version"])
+    assert re.match(r"cloudtomo \d+\.\d+", capsys.readouterr().out)
+
+
+def test_devices_lists_at_least_one(capsys):
+    assert main(["devices"]) == 0
+    header, *lines = capsys.readouterr().out.strip().splitlines()
+    assert "compute units" in header and lines and lines[0].split()[0] == "0"
+
+
+def test_interrupt_has_its_exit_status(monkeypatch, capsys):
+    def interrupt():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(commands, "devices", interrupt)
+    assert main(["devices"]) == 130 and "interrupted" in capsys.readouterr().err
+
+
+def test_cloud_is_generated(folder):
+    assert main([*GENERATE, "new.nc"]) == 0
+    with xr.open_dataset("new.nc") as dataset:
+        assert dataset.extinction.shape == (8, 8, 8) and float(dataset.extinction.max()) > 0
+
+
+def test_cloud_summary(folder, capsys):
+    assert main(["cloud", "cloud.nc"]) == 0
+    text = re.sub(r" +", " ", capsys.readouterr().out)
+    # 4 of 36 columns hold 3 voxels of 8 km^-1, 0.1 km thick.
+    for line in ("voxels 6 x 6 x 6", "largest extinction 8 km^-1", "largest 2.4, mean 0.2667", "cover 11.1%"):
+        assert line in text
+    assert "optical mass 0.096 km^2" in text
+
+
+def test_cloud_quiet_says_nothing(folder, capsys):
+    assert main([*GENERATE, "new.nc", "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_generating_does_not_replace_a_file(folder, capsys):
+    before = Path("cloud.nc").read_bytes()
+    assert "--overwrite" in fails(capsys, *GENERATE, "cloud.nc") and Path("cloud.nc").read_bytes() == before
+
+
+def test_generating_replaces_a_file_on_demand(folder):
+    before = Path("cloud.nc").read_bytes()
+    assert main([*GENERATE, "cloud.nc", "--overwrite"]) == 0 and Path("cloud.nc").read_bytes() != before
+
+
+def test_render_writes_radiances_with_units(folder, rendered):
+    Path("images.nc").write_bytes(rendered)
+    with xr.open_dataset("images.nc") as dataset:
+        for name in ("radiance", "radiance_standard_error"):
+            assert dataset[name].dims == ("view", "row", "column") and dataset[name].attrs["units"] == "W m-2 sr-1"
+
+
+def test_render_writes_what_made_it(folder, rendered):
+    Path("images.nc").write_bytes(rendered)
+    settings = xr.open_dataset("images.nc").attrs["settings"]
+    for word in ('"zenith": 30.0', '"samples": 16', '"seed": 0', '"g": 0.5', '"shape"'):
+        assert word in settings
+
+
+def test_render_prints_radiances_and_photons(folder, capsys):
+    assert main("render scene.toml --samples 8 --output images.nc".split()) == 0
+    text = capsys.readouterr().out
+    assert len(re.findall(r"view \d: mean radiance [\d.]+ ± [\d.e-]+ W m\^-2 sr\^-1", text)) == 2
+    assert "392 photons" in text  # 8 for each of 24 + 25 pixels
+
+
+def test_render_repeats_with_its_seed(folder):
+    for name in ("one", "two"):
+        assert main(["render", "scene.toml", "--samples", "4", "--seed", "5", "--quiet", "--output", f"{name}.nc"]) == 0
+    assert np.array_equal(xr.open_dataset("one.nc").radiance, xr.open_dataset("two.nc").radiance, equal_nan=True)
+
+
+def test_render_quiet_says_nothing(folder, capsys):
+    assert main("render scene.toml --samples 4 --quiet --output images.nc --png png".split()) == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_render_makes_a_preview_of_every_view(folder):
+    assert main("render scene.toml --samples 4 --quiet --output images.nc --png png".split()) == 0
+    assert sorted(path.name for path in Path("png").iterdir()) == ["view_0.png", "view_1.png"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("scene.toml --samples 3", "samples is 3: it must be even"),
+        ("absent.toml", "absent.toml: cannot be read"),
+        ("scene.toml --device no-such-device", "no OpenCL device 'no-such-device'"),
+        ("below.toml", "below.toml: view[0] is wrong: position lies below the ground"),
+        ("damaged.toml", "damaged.nc"),
+    ],
+)
+def test_render_that_fails_leaves_no_file(folder, capsys, arguments, message):
+    Path("below.toml").write_text(SCENE.replace("1.5]", "-1.5]"))
+    Path("damaged.toml").write_text(SCENE.replace("cloud.nc", "damaged.nc"))
+    Path("damaged.nc").write_bytes(Path("cloud.nc").read_bytes()[:500])
+    before = sorted(folder.iterdir())
+    assert message in fails(capsys, "render", *arguments.split(), "--output", "images.nc")
+    assert sorted(folder.iterdir()) == before
+
+
+@pytest.mark.parametrize("output", [".", "absent/images.nc", "cloud.nc"])
+def test_render_refuses_the_output_before_the_work(folder, capsys, monkeypatch, output):
+    monkeypatch.setattr(commands, "choose_device", lambda name: pytest.fail("the work began"))
+    assert "choose another --output" in fails(capsys, "render", "scene.toml", "--output", output)
+
+
+@pytest.mark.parametrize("arguments", [[], ["cloud.nc", "--generate", "cumulus"], ["--generate", "cumulus"]])
+def test_cloud_says_which_arguments_it_needs(folder, capsys, arguments):
+    assert "--generate" in fails(capsys, "cloud", *arguments)
+
+
+def test_seed_must_be_of_32_bits(capsys):
+    with pytest.raises(SystemExit) as exit_:
+        main(["render", "scene.toml", "--seed", str(2**32), "--output", "images.nc"])
+    assert exit_.value.code == 2
+
+
+def test_reconstruct_writes_a_run_folder(folder, rendered, capsys):
+    Path("images.nc").write_bytes(rendered)
+    assert main("reconstruct run.toml --seed 2 --output run".split()) == 0
+    for name in ("reconstruction.nc", "history.csv", "settings.json", "figures/slices.png", "figures/history.png"):
+        assert Path("run", name).stat().st_size > 0
+    assert re.search(r"^eps [\d.]+  delta [-+][\d.]+%  run$", capsys.readouterr().out.splitlines()[-1])
+
+
+def test_reconstruct_that_fails_leaves_no_folder(folder, rendered, capsys):
+    Path("images.nc").write_bytes(rendered)
+    Path("run.toml").write_text(RUN + "[grid]\nshape = [5, 6, 6]\nspacing = [0.1, 0.1, 0.1]\n")
+    assert "truth.file" in fails(capsys, "reconstruct", "run.toml", "--output", "run")
+    assert not Path("run").exists()
+
+
+def test_reconstruct_does_not_touch_an_older_run(folder, rendered, capsys):
+    Path("images.nc").write_bytes(rendered)
+    Path("run").mkdir()
+    Path("run/settings.json").write_text("{}")
+    assert "--overwrite" in fails(capsys, "reconstruct", "run.toml", "--output", "run")
+
+
+def test_report_makes_the_figures_again(folder, rendered):
+    Path("images.nc").write_bytes(rendered)
+    assert main("reconstruct run.toml --quiet --output run".split()) == 0
+    Path("run/figures/slices.png").unlink()
+    assert main(["report", "run", "--quiet"]) == 0 and Path("run/figures/slices.png").is_file()
+
+
+def test_report_of_a_moved_run_does_without_the_images(folder, rendered, capsys):
+    Path("images.nc").write_bytes(rendered)
+    assert main("reconstruct run.toml --quiet --output run".split()) == 0
+    Path("images.nc").unlink()
+    assert main(["report", "run"]) == 0 and "images.nc is not there any more" in capsys.readouterr().err
+
+
+def test_report_of_no_run_fails(folder, capsys):
+    assert "no run was finished" in fails(capsys, "report", ".")

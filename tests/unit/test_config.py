@@ -1,0 +1,229 @@
+"""Settings files: the smallest ones, and what is said of wrong ones."""
+
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from cloudtomo_cl.config import read_reconstruct_settings, read_render_settings, stored_scene
+from cloudtomo_cl.errors import SettingsError
+from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.optimizer import Optimizer
+from cloudtomo_cl.phase import HenyeyGreenstein
+from cloudtomo_cl.prior import Prior
+from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
+from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+from cloudtomo_cl.stages import Stage
+
+SCENE = """
+[cloud]
+file = "cloud.nc"
+[sun]
+zenith = 60.0
+[[view]]
+type = "perspective"
+position = [2.4, -1.0, 1.9]
+target = [0.6, 0.4, 0.4]
+field_of_view = 32.0
+pixels = [48, 32]
+"""
+RUN = '[measurements]\nfile = "images.nc"\n'
+GRID = Grid((4, 5, 6), (0.1, 0.1, 0.2))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with files that settings may name; only their being there is looked at."""
+    for name in ("cloud.nc", "images.nc"):
+        (tmp_path / name).touch()
+    return tmp_path
+
+
+def scene_error(folder, text):
+    """What is said of a scene file."""
+    (folder / "scene.toml").write_text(text)
+    with pytest.raises(SettingsError) as error:
+        read_render_settings(folder / "scene.toml")
+    return str(error.value)
+
+
+def run_error(folder, text):
+    """What is said of a run file."""
+    (folder / "run.toml").write_text(text)
+    with pytest.raises(SettingsError) as error:
+        read_reconstruct_settings(folder / "run.toml")
+    return str(error.value)
+
+
+def read_scene(folder, text):
+    (folder / "scene.toml").write_text(text)
+    return read_render_settings(folder / "scene.toml")
+
+
+def read_run(folder, text):
+    (folder / "run.toml").write_text(text)
+    return read_reconstruct_settings(folder / "run.toml")
+
+
+def test_smallest_scene_has_the_defaults_of_the_api(folder):
+    assert read_scene(folder, SCENE).scene(GRID) == Scene(GRID, Sun(zenith=60.0))
+
+
+def test_every_table_of_a_scene_arrives(folder):
+    text = SCENE.replace(
+        'file = "cloud.nc"',
+        'file = "cloud.nc"\nsingle_scattering_albedo = 0.95\n'
+        'phase_function = { type = "henyey-greenstein", g = 0.7 }',
+    )
+    text += '[air]\nextinction = [0.1, 0.05]\n[surface]\nalbedo = 0.4\n[boundary]\nhorizontal = "periodic"\n'
+    expected = Scene(
+        GRID,
+        Sun(zenith=60.0),
+        Cloud(0.95, HenyeyGreenstein(0.7)),
+        Air((0.1, 0.05)),
+        Surface(0.4),
+        Boundary("periodic"),
+    )
+    assert read_scene(folder, text).scene(GRID) == expected
+
+
+def test_both_projections_are_views(folder):
+    text = SCENE + '[[view]]\ntype = "orthographic"\nzenith = 30.0\nwidth = 2.4\npixels = [8, 8]\n'
+    assert [type(view) for view in read_scene(folder, text).view] == [PerspectiveView, OrthographicView]
+
+
+def test_files_are_beside_the_settings(folder):
+    assert read_scene(folder, SCENE).cloud.file == folder / "cloud.nc"
+
+
+def test_whole_numbers_are_numbers(folder):
+    assert read_scene(folder, SCENE.replace("60.0", "60")).sun.zenith == 60.0
+
+
+def test_smallest_run_has_the_defaults_of_the_api(folder):
+    settings = read_run(folder, RUN)
+    assert (settings.stage, settings.prior, settings.optimizer, settings.run.seed) == (None, Prior(), Optimizer(), 0)
+
+
+def test_run_takes_the_stored_scene(folder):
+    scene = Scene(GRID, Sun(20.0, 30.0), Cloud(0.9, HenyeyGreenstein(0.5)), Air((0.1, 0.2)), Surface(0.3))
+    assert read_run(folder, RUN).scene(stored_scene(scene)) == scene
+
+
+def test_run_replaces_a_table_of_the_stored_scene(folder):
+    stored = stored_scene(Scene(GRID, Sun(20.0), surface=Surface(0.3)))
+    scene = read_run(folder, RUN + "[surface]\nalbedo = 0.1\n").scene(stored)
+    assert scene == Scene(GRID, Sun(20.0), surface=Surface(0.1))
+
+
+def test_run_without_a_stored_scene_needs_the_sun(folder):
+    settings = read_run(folder, RUN + "[grid]\nshape = [4, 4, 4]\nspacing = [0.1, 0.1, 0.1]\n")
+    with pytest.raises(SettingsError, match=r"images.nc does not store \[sun\]"):
+        settings.scene({})
+
+
+def test_run_with_a_damaged_stored_scene_names_its_file(folder):
+    stored = stored_scene(Scene(GRID, Sun(20.0)))
+    stored["sun"]["zenith"] = 95
+    with pytest.raises(SettingsError, match=r"images.nc: sun.zenith must be less than 90, is 95"):
+        read_run(folder, RUN).scene(stored)
+
+
+def test_stages_keep_their_order(folder):
+    stage = "[[stage]]\ngrid = [{0}, {0}, {0}]\nsamples = 16\niterations = 5\n"
+    settings = read_run(folder, RUN + stage.format(4) + stage.format(8))
+    assert [stage.grid[0] for stage in settings.stage] == [4, 8]
+
+
+WRONG_SCENES = {
+    "unknown table": ("[cloud]", "[clouds]", "clouds is no known key: did you mean cloud?"),
+    "misspelt key": ("zenith", "zenit", "sun.zenit is no known key: did you mean zenith?"),
+    "misspelt key of a view": ("field_of_view", "fieldofview", "view[0].fieldofview is no known key: did you mean"),
+    "missing key": ("zenith = 60.0", "", "sun.zenith is missing"),
+    "out of range": ("32.0", "200.0", "view[0].field_of_view must be less than 180, is 200.0"),
+    "text for a number": ("60.0", '"60"', 'sun.zenith must be a number, is "60"'),
+    "truth value for a number": ("60.0", "true", "sun.zenith must be a number, is true"),
+    "not finite": ("60.0", "nan", "sun.zenith must be less than 90, is NaN"),
+    "fraction of a pixel": ("[48, 32]", "[48, 3.5]", "view[0].pixels[1] must be an integer, is 3.5"),
+    "two coordinates": ("[2.4, -1.0, 1.9]", "[2.4, -1.0]", "view[0].position[2] is missing"),
+    "unknown projection": ('"perspective"', '"fisheye"', "view[0] has type 'fisheye': allowed are 'perspective'"),
+    "view below the ground": ("1.9]", "-1.9]", "view[0] is wrong: position lies below the ground"),
+    "view from its target": ("[2.4, -1.0, 1.9]", "[0.6, 0.4, 0.4]", "view[0] is wrong: position and target are the"),
+    "view looking along up": ("[2.4, -1.0, 1.9]", "[0.6, 0.4, 1.9]", "view[0] is wrong: up is parallel"),
+    "one table for a list": ("[[view]]", "[view]", "view must be a list of tables: write [[view]]"),
+    "no such file": ("cloud.nc", "clod.nc", "cloud.file is wrong: there is no file"),
+    "tables of a run": ("[sun]", "[optimizer]\n[sun]", "optimizer is no known key (allowed: air, boundary"),
+    "unknown phase function": (
+        'file = "cloud.nc"',
+        'file = "cloud.nc"\nphase_function = { type = "mie", g = 0.5 }',
+        "cloud.phase_function.type must be 'henyey-greenstein', is \"mie\"",
+    ),
+    "two ways to say a direction": (
+        'type = "perspective"',
+        'type = "orthographic"\nwidth = 1.0\nzenith = 3.0\n#',
+        "view[0] is wrong: give either position and target, or zenith and azimuth",
+    ),
+    "air of a negative layer": ("[sun]", "[air]\nextinction = [0.1, -0.1]\n[sun]", "air.extinction[1] must be greater"),
+    "air of text": ("[sun]", '[air]\nextinction = "a"\n[sun]', "air.extinction must be a number, is "),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_SCENES)
+def test_wrong_scene_is_named(folder, case):
+    old, new, message = WRONG_SCENES[case]
+    assert old in SCENE
+    text = SCENE.replace(old, new)
+    if case == "two ways to say a direction":
+        text = text.replace("field_of_view = 32.0\n", "")
+    assert f"{folder / 'scene.toml'}: {message}" in scene_error(folder, text)
+
+
+def test_scene_without_views_is_refused(folder):
+    assert "view is missing" in scene_error(folder, SCENE[: SCENE.index("[[view]]")])
+
+
+def test_every_mistake_has_a_line(folder):
+    text = SCENE.replace("zenith", "zenit").replace("32.0", "200.0")
+    assert len(scene_error(folder, text).splitlines()) == 3  # zenith is missing, zenit is unknown, 200 degrees
+
+
+def test_a_mistake_in_a_view_is_the_only_one_of_views(folder):
+    assert len(scene_error(folder, SCENE.replace("32.0", "200.0")).splitlines()) == 1
+
+
+def test_not_toml_names_the_line(folder):
+    assert "is not TOML" in scene_error(folder, "[cloud\n") and "line 1" in scene_error(folder, "[cloud\n")
+
+
+def test_absent_file_is_named(tmp_path):
+    with pytest.raises(SettingsError, match="absent.toml: cannot be read"):
+        read_render_settings(tmp_path / "absent.toml")
+
+
+def test_the_cloud_itself_is_no_setting_of_a_reconstruction(folder):
+    assert r"write [truth] file" in run_error(folder, RUN + '[cloud]\nfile = "cloud.nc"\n')
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "measurements is missing"),
+        (RUN + "[optimizer]\ntyp = 'adam'\n", "optimizer.typ is no known key: did you mean type?"),
+        (RUN + "[optimizer]\ntype = 'adams'\n", "optimizer.type must be 'adam' or 'sgd', is \"adams\""),
+        (RUN + "[run]\ntime_limit = 0\n", "run.time_limit must be greater than 0, is 0"),
+        (RUN + "[run]\nseed = -1\n", "run.seed must be greater than or equal to 0, is -1"),
+        (RUN + "[[stage]]\nsamples = 16\n", "stage[0].grid is missing"),
+        (RUN + "[stage]\nsamples = 16\n", "stage must be a list of tables: write [[stage]]"),
+    ],
+)
+def test_wrong_run_is_named(folder, text, message):
+    assert f"{folder / 'run.toml'}: {message}" in run_error(folder, text)
+
+
+@pytest.mark.parametrize(
+    "table",
+    [Grid, Sun, Cloud, Air, Surface, Boundary, Scene, HenyeyGreenstein, PerspectiveView, OrthographicView]
+    + [Stage, Prior, Optimizer],
+)
+def test_settings_classes_refuse_unknown_arguments(table):
+    with pytest.raises(ValidationError) as error:
+        TypeAdapter(table).validate_python({"zenit": 1})
+    assert ("zenit",) in [entry["loc"] for entry in error.value.errors()]

@@ -1,0 +1,108 @@
+"""The folder of a reconstruction."""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.runfolder import RunFolder
+
+GRID = Grid((2, 3, 4), (0.1, 0.2, 0.3))
+
+
+@dataclass(frozen=True)
+class Record:
+    """Some fields of an iteration."""
+
+    stage: int
+    seconds: float
+    epsilon: float | None
+
+
+@pytest.fixture
+def begun(tmp_path):
+    """A run after its first iteration."""
+    folder = RunFolder(tmp_path / "runs" / "one")
+    folder.begin({"seed": 3})
+    folder.append(Record(0, 0.1, 0.9))
+    yield folder
+    folder.close()
+
+
+def test_nothing_is_written_before_the_first_iteration(tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    folder.begin({"seed": 3})
+    folder.close()
+    assert not folder.path.exists()
+
+
+def test_settings_come_back(begun):
+    assert begun.read_settings() == {"seed": 3}
+
+
+def test_history_is_on_the_disk_after_each_iteration(begun):
+    begun.append(Record(1, 1 / 3, 0.5))
+    assert begun.read_history()["seconds"].tolist() == [0.1, 1 / 3]
+
+
+def test_what_is_unknown_is_nan(begun):
+    begun.append(Record(1, 0.2, None))
+    assert np.isnan(begun.read_history()["epsilon"]).tolist() == [False, True]
+
+
+def test_reconstruction_comes_back(begun):
+    extinction = np.arange(24, dtype=np.float32).reshape(GRID.shape)
+    begun.write_reconstruction(GRID, extinction, extinction > 5, {"seed": 3})
+    grid, values, mask = begun.read_reconstruction()
+    assert grid == GRID and np.array_equal(values, extinction) and np.array_equal(mask, extinction > 5)
+
+
+def test_a_failed_write_leaves_nothing(begun):
+    with pytest.raises((TypeError, ValueError)):
+        begun.write_reconstruction(GRID, np.ones(GRID.shape), np.array("no mask"), {})
+    assert not list(begun.path.glob("*reconstruction*")) and not list(begun.path.glob(".*"))
+
+
+def test_a_folder_with_a_run_is_not_taken(begun):
+    with pytest.raises(DataError, match="--overwrite"):
+        RunFolder(begun.path).check_new()
+
+
+def test_a_folder_with_a_run_is_taken_on_demand(begun):
+    RunFolder(begun.path).check_new(overwrite=True)
+
+
+def test_a_folder_with_other_files_is_taken(tmp_path):
+    (tmp_path / "images.nc").touch()
+    RunFolder(tmp_path).check_new()
+
+
+def test_a_second_run_leaves_nothing_of_the_first(begun):
+    begun.write_reconstruction(GRID, np.ones(GRID.shape), np.ones(GRID.shape, bool), {})
+    second = RunFolder(begun.path)
+    second.begin({})
+    second.append(Record(0, 0.1, None))
+    second.close()
+    with pytest.raises(DataError, match="no run was finished"):
+        second.read_reconstruction()
+
+
+def test_a_file_is_no_run_folder(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(DataError, match="is a file"):
+        RunFolder(tmp_path / "file").check_new(overwrite=True)
+
+
+def test_damaged_settings_are_named(begun):
+    begun.settings_file.write_text(json.dumps({})[:-1])
+    with pytest.raises(DataError, match="settings.json"):
+        begun.read_settings()
+
+
+def test_damaged_history_is_named(begun):
+    begun.history_file.write_text("stage,seconds\n1,what\n")
+    with pytest.raises(DataError, match="history.csv"):
+        begun.read_history()
