@@ -25,7 +25,11 @@ _QUIET_PERCENTILE = 25.0
 
 
 def cloudy_pixels(
-    measurements: Measurements, clear: Measurements, contrast: float = 0.02, significance: float = 2.0
+    measurements: Measurements,
+    clear: Measurements,
+    contrast: float = 0.02,
+    significance: float = 2.0,
+    grid: Grid | None = None,
 ) -> tuple[np.ndarray, ...]:
     """Which pixels of every image may show cloud.
 
@@ -48,6 +52,7 @@ def cloudy_pixels(
     measurements, clear : images of the same views with and without cloud, W m^-2 sr^-1
     contrast : the least difference that counts, relative to the image's scale
     significance : standard errors of the difference; 0 trusts every pixel
+    grid : of the domain, if pixels that do not look at it are to count as clear
 
     Returns
     -------
@@ -66,10 +71,11 @@ def cloudy_pixels(
     scales = np.array([np.percentile(difference, _SCALE_PERCENTILE) for difference in differences])
     scales = np.maximum(scales, scales.max() / 4)
     cloudy = []
-    for difference, error, scale in zip(differences, errors, scales):
+    for view, difference, error, scale in zip(measurements.views, differences, errors, scales):
         noise = 3 * significance * np.percentile(error, _QUIET_PERCENTILE)
         tolerance = np.clip(noise, contrast * scale, 3 * contrast * scale)
-        cloudy.append(_filled(difference + significance * error > tolerance))
+        differs = difference + significance * error > tolerance
+        cloudy.append(_filled(differs if grid is None else differs & pixels_that_meet(view, grid)))
     return tuple(cloudy)
 
 
@@ -138,11 +144,11 @@ def carve(
     ------
     DataError : as `cloudy_pixels`
     """
-    cloudy = cloudy_pixels(measurements, clear, contrast, significance)
+    cloudy = cloudy_pixels(measurements, clear, contrast, significance, grid)
     mask = np.ones(grid.shape, dtype=bool)
     for view, pixels in zip(measurements.views, cloudy):
         table = np.zeros((pixels.shape[0] + 1, pixels.shape[1] + 1), dtype=np.int64)
-        table[1:, 1:] = (pixels & pixels_that_meet(view, grid)).cumsum(axis=0).cumsum(axis=1)
+        table[1:, 1:] = pixels.cumsum(axis=0).cumsum(axis=1)
         slab = max(1, _CORNERS_AT_ONCE // ((grid.shape[1] + 1) * (grid.shape[2] + 1)) - 1)
         for first in range(0, grid.shape[0], slab):
             last = min(first + slab, grid.shape[0])
@@ -161,12 +167,14 @@ def _seen_clear(
     edges[0] = edges[0][first : last + 1]
     corners = np.stack(np.meshgrid(*edges, indexing="ij"), axis=-1)
     u, v, depth = view.project(grid, corners)
-    in_front = _over_corners(depth, np.minimum) > 0
+    # The image plane of parallel rays may lie in the top of the domain. For a camera a corner
+    # so close to its own plane projects far outside of the frame.
+    in_front = _over_corners(depth, np.minimum) > -_EDGE * min(grid.spacing)
     width, height = view.pixels
     ranges = []
     for image, count in ((u, width), (v, height)):
         lower, upper = _over_corners(image, np.minimum) * count, _over_corners(image, np.maximum) * count
-        in_front &= (lower >= 0) & (upper <= count)
+        in_front &= (lower >= -_EDGE) & (upper <= count + _EDGE)
         start = np.floor(np.nan_to_num(lower, posinf=0.0, neginf=0.0) + _EDGE)
         stop = np.ceil(np.nan_to_num(upper, posinf=0.0, neginf=0.0) - _EDGE)
         ranges.append([np.clip(edge, 0, count).astype(np.intp) for edge in (start, stop)])
