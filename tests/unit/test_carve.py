@@ -57,6 +57,13 @@ def test_a_camera_inside_the_domain_removes_nothing_behind_it():
     assert not mask[4, 4, 0]
 
 
+def test_a_camera_that_looks_away_removes_nothing():
+    away = PerspectiveView(
+        position=(0.4, 0.4, 0.9), target=(0.4, 0.4, 2.0), up=(0.0, 1.0, 0.0), field_of_view=60.0, pixels=(9, 9)
+    )
+    assert carve(GRID, *images([away])).all()
+
+
 def test_a_voxel_is_kept_if_it_only_touches_a_cloudy_pixel():
     # Pixels of one and a half voxels: pixel 0 covers voxel 0 and half of voxel 1.
     grid = Grid(shape=(6, 6, 1), spacing=(0.1, 0.1, 0.1))
