@@ -66,7 +66,7 @@ def cloudy_pixels(
     DataError : the views of the two differ; contrast or significance is negative
     """
     if clear.views != measurements.views:
-        raise DataError("the clear images are not of the measurements' views: render them with the same views and pixels")
+        raise DataError("clear images are not of the measurements' views: render them with the same views and pixels")
     if not (contrast >= 0 and significance >= 0):
         raise DataError(f"contrast is {contrast} and significance {significance}: neither may be negative")
     differences = [np.abs(image - ground) for image, ground in zip(measurements.images, clear.images)]

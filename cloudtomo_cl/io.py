@@ -102,7 +102,7 @@ def _save(path: str | os.PathLike[str], dataset: xr.Dataset) -> None:
             os.fsync(written.fileno())
         os.replace(partial, path)
     except (OSError, RuntimeError) as error:
-        raise DataError(f"{path}: could not be written ({error}): check the folder, its permissions and the disk") from None
+        raise DataError(f"{path}: could not be written ({error}): check its folder, permissions and disk") from None
     finally:
         partial.unlink(missing_ok=True)
 
@@ -217,7 +217,7 @@ def read_extinction(path: str | os.PathLike[str]) -> tuple[Grid, np.ndarray]:
     try:
         return Grid(shape=extinction.shape, spacing=spacing, origin=origin), extinction
     except ValidationError as error:
-        raise DataError(f"{path}: the grid is not possible: {error.errors()[0]['msg']} (z must be at least 0)") from None
+        raise DataError(f"{path}: impossible grid: {error.errors()[0]['msg']} (z must be at least 0)") from None
 
 
 def write_extinction(
@@ -340,7 +340,10 @@ def read_measurements(path: str | os.PathLike[str]) -> Measurements:
         _unit(path, variable, {RADIANCE_UNITS: 1.0}, RADIANCE_UNITS)
     heights = _variable(path, dataset, "image_height", ("view",)).values
     widths = _variable(path, dataset, "image_width", ("view",)).values
-    for name, values, largest in (("image_height", heights, radiance.shape[1]), ("image_width", widths, radiance.shape[2])):
+    for name, values, largest in (
+        ("image_height", heights, radiance.shape[1]),
+        ("image_width", widths, radiance.shape[2]),
+    ):
         if not ((values >= 1) & (values <= largest)).all():
             raise DataError(f"{path}: {name} is {list(values)}: each must lie between 1 and {largest}")
     views = _views(path, dataset, heights, widths)
@@ -380,7 +383,9 @@ def _views(
     """The views from their fields; a field that is NaN was not given."""
     if "view_type" not in dataset.variables or dataset["view_type"].dims != ("view",):
         raise DataError(f"{path}: no variable view_type(view)")
-    fields = {name: _variable(path, dataset, name, ("view", *extra)).values for name, (extra, _, _) in VIEW_FIELDS.items()}
+    fields = {
+        name: _variable(path, dataset, name, ("view", *extra)).values for name, (extra, _, _) in VIEW_FIELDS.items()
+    }
     adapter: TypeAdapter[PerspectiveView | OrthographicView] = TypeAdapter(View)
     views = []
     for index, kind in enumerate(dataset["view_type"].values):

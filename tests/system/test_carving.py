@@ -60,7 +60,9 @@ CAMERAS = {
 }
 
 
-@pytest.mark.parametrize(("name", "pixels", "samples"), [("scene_c.nc", 38, 256), ("scene_c.nc", 16, 512), ("scene_f.nc", 43, 256)])
+@pytest.mark.parametrize(
+    ("name", "pixels", "samples"), [("scene_c.nc", 38, 256), ("scene_c.nc", 16, 512), ("scene_f.nc", 43, 256)]
+)
 def test_large_eddy_clouds_are_kept_and_clear_air_is_removed(name, pixels, samples):
     grid, extinction = scene_file(name)
     mask = carve(grid, *rendered(grid, extinction, nine_cameras(*CAMERAS[name], pixels), samples))

@@ -86,7 +86,8 @@ def test_a_pixel_too_noisy_to_tell_counts_as_cloudy():
 
 def test_noise_alone_marks_few_pixels():
     view = OrthographicView(width=0.8, pixels=(64, 64), zenith=0.0)
-    measurements, clear = images([view], [(0, row, column) for row in range(20, 40) for column in range(20, 40)], error=0.01)
+    square = [(0, row, column) for row in range(20, 40) for column in range(20, 40)]
+    measurements, clear = images([view], square, error=0.01)
     noise = np.random.default_rng(0).normal(0.0, 0.01, (64, 64))
     noisy = Measurements(measurements.views, (measurements.images[0] + noise,), measurements.standard_errors)
     cloudy = cloudy_pixels(noisy, clear)[0]

@@ -25,7 +25,9 @@ def some_measurements():
     views = (
         PerspectiveView(position=(0.1, 0.2, 1 / 3), target=(0.3, 0.1, 0.0), field_of_view=100 / 3, pixels=(3, 2)),
         OrthographicView(width=0.7, zenith=100 / 3, azimuth=12.0, pixels=(2, 4)),
-        OrthographicView(width=0.1, position=(0.0, 0.0, 2.0), target=(0.0, 0.0, 1.0), up=(1.0, 0.1, 0.0), pixels=(1, 1)),
+        OrthographicView(
+            width=0.1, position=(0.0, 0.0, 2.0), target=(0.0, 0.0, 1.0), up=(1.0, 0.1, 0.0), pixels=(1, 1)
+        ),
     )
     images = tuple(generator.uniform(size=view.pixels[::-1]) for view in views)
     return Measurements(views, images, tuple(0.1 * image for image in images))

@@ -9,7 +9,9 @@ from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
 GRID = Grid(shape=(4, 5, 6), spacing=(0.1, 0.1, 0.2))
 VIEWS = [
     PerspectiveView(position=(0.3, -0.2, 2.0), target=(0.2, 0.2, 0.5), field_of_view=70.0, pixels=(20, 10)),
-    PerspectiveView(position=(0.2, 0.2, 2.0), target=(0.2, 0.2, 0.5), field_of_view=40.0, pixels=(8, 9), up=(0.0, 1.0, 0.0)),
+    PerspectiveView(
+        position=(0.2, 0.2, 2.0), target=(0.2, 0.2, 0.5), field_of_view=40.0, pixels=(8, 9), up=(0.0, 1.0, 0.0)
+    ),
     OrthographicView(width=1.5, pixels=(10, 20), zenith=50.0, azimuth=130.0),
     OrthographicView(width=0.5, pixels=(10, 5), position=(0.1, 0.2, 3.0), target=(0.3, 0.2, 0.0)),
 ]
