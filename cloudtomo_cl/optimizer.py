@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.device import Device
@@ -14,7 +14,7 @@ from cloudtomo_cl.scene import NotNegative, Positive
 Decay = Annotated[float, Field(ge=0, lt=1)]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Optimizer:
     """How an iteration moves the extinction.
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.device import Device
 from cloudtomo_cl.scene import NotNegative, Positive
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Prior:
     """R = smoothness / 2 ||A b||^2 + monotonicity R_mon, b the extinction in km^-1.
 

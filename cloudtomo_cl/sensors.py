@@ -43,6 +43,13 @@ def line_of_sight(position: Triple, target: Triple) -> np.ndarray:
     return sight / norm
 
 
+def solve_affine(axes: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Coefficients of offsets (..., 3) with respect to three axes, the rows of a (3, 3) array."""
+    inverse = np.linalg.inv(axes)
+    first, second, third = np.moveaxis(offsets @ inverse, -1, 0)
+    return first, second, third
+
+
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class PerspectiveView:
     """A pinhole camera.
@@ -81,6 +88,25 @@ class PerspectiveView:
         corner = sight - width / 2 * right + height / 2 * up
         origin = np.array([self.position, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
         return origin, np.array([corner, width * right, -height * up])
+
+    def project(self, grid: Grid, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where points appear in the image: the inverse of `rays`.
+
+        Parameters
+        ----------
+        grid : of the domain
+        points : km, shape (..., 3)
+
+        Returns
+        -------
+        u, v : image coordinates, outside of [0, 1] beside the frame; shape (...)
+        depth : along the line of sight, km; where it is not positive the point lies behind the
+            sensor, and u, v mean nothing
+        """
+        origin, axes = self.rays(grid)
+        depth, u, v = solve_affine(axes, points - origin[0])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return u / depth, v / depth, depth
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
@@ -145,6 +171,12 @@ class OrthographicView:
         right, up = image_axes(sight, self._up)
         corner = centre - self.width / 2 * right + height / 2 * up
         return np.array([corner, self.width * right, -height * up]), np.array([sight, np.zeros(3), np.zeros(3)])
+
+    def project(self, grid: Grid, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where points appear in the image; see PerspectiveView."""
+        origin, axes = self.rays(grid)
+        depth, u, v = solve_affine(np.array([axes[0], origin[1], origin[2]]), points - origin[0])
+        return u, v, depth
 
 
 View = Annotated[PerspectiveView | OrthographicView, Field(discriminator="type")]

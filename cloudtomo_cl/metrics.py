@@ -1,0 +1,55 @@
+"""How far an extinction is from the truth: the two errors of cloud tomography."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cloudtomo_cl.errors import DataError
+
+
+def _checked(estimate: Any, truth: Any) -> tuple[np.ndarray, np.ndarray, float]:
+    """Both arrays in double precision, and the optical mass of the truth."""
+    estimate = np.asarray(estimate, dtype=np.float64)
+    truth = np.asarray(truth, dtype=np.float64)
+    if estimate.shape != truth.shape:
+        raise DataError(
+            f"estimate has shape {estimate.shape}, truth {truth.shape}: "
+            "both must lie on the same grid, so resample one of them first"
+        )
+    for name, values in (("estimate", estimate), ("truth", truth)):
+        wrong = ~np.isfinite(values)
+        if wrong.any():
+            voxel = tuple(int(i) for i in np.argwhere(wrong)[0])
+            raise DataError(f"{name} at voxel {voxel} is {values[voxel]}: it must be finite")
+    mass = float(np.abs(truth).sum())
+    if mass == 0:
+        raise DataError("truth is zero in every voxel: errors relative to an empty cloud are not defined")
+    return estimate, truth, mass
+
+
+def epsilon(estimate: Any, truth: Any) -> float:
+    """Local error: ||estimate - truth||_1 / ||truth||_1 (the supplement's Eq. 25).
+
+    0 is perfect; an empty estimate scores 1.
+
+    Parameters
+    ----------
+    estimate, truth : extinction, any unit but the same, on the same grid
+
+    Raises
+    ------
+    DataError : other shapes, values that are not finite, a truth of zeros
+    """
+    estimate, truth, mass = _checked(estimate, truth)
+    return float(np.abs(estimate - truth).sum() / mass)
+
+
+def delta(estimate: Any, truth: Any) -> float:
+    """Bias of the optical mass: (||estimate||_1 - ||truth||_1) / ||truth||_1.
+
+    Negative where the estimate holds too little cloud. Parameters and errors as in `epsilon`.
+    """
+    estimate, truth, mass = _checked(estimate, truth)
+    return float((np.abs(estimate).sum() - mass) / mass)

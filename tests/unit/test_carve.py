@@ -1,0 +1,156 @@
+"""Carving on images drawn by hand: what is removed, and above all what is not."""
+
+import numpy as np
+import pytest
+
+from cloudtomo_cl import carving
+from cloudtomo_cl.carving import carve, cloudy_pixels, coarsened, pixels_that_meet
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+
+GRID = Grid(shape=(8, 8, 4), spacing=(0.1, 0.1, 0.1))
+# Each pixel looks down one column of voxels.
+FROM_ABOVE = OrthographicView(width=0.8, pixels=(8, 8), zenith=0.0)
+
+
+def images(views, bright=(), error=0.0, cloud=1.0, ground=0.1):
+    """Measurements with bright pixels (view, row, column) on uniform ground, and the clear images."""
+    clear = tuple(np.full(view.pixels[::-1], ground) for view in views)
+    seen = tuple(image.copy() for image in clear)
+    for view, row, column in bright:
+        seen[view][row, column] = cloud
+    errors = tuple(np.full(image.shape, error) for image in clear)
+    nothing = tuple(np.zeros(image.shape) for image in clear)
+    return Measurements(tuple(views), seen, errors), Measurements(tuple(views), clear, nothing)
+
+
+def test_a_bright_pixel_keeps_its_column_alone():
+    mask = carve(GRID, *images([FROM_ABOVE], [(0, 0, 2)]))
+    expected = np.zeros(GRID.shape, bool)
+    expected[2, 7] = True  # row 0 is the northern edge
+    np.testing.assert_array_equal(mask, expected)
+
+
+def test_two_views_keep_the_intersection():
+    from_south = OrthographicView(width=0.8, pixels=(8, 4), position=(0.4, -1.0, 0.2), target=(0.4, 0.4, 0.2))
+    mask = carve(GRID, *images([FROM_ABOVE, from_south], [(0, 3, 2), (1, 1, 2)]))
+    assert np.argwhere(mask).tolist() == [[2, 4, 2]]
+
+
+def test_voxels_beside_the_frame_are_kept():
+    narrow = OrthographicView(width=0.4, pixels=(4, 4), zenith=0.0)
+    mask = carve(GRID, *images([narrow]), significance=0.0)
+    # The image is clear all over but for its scale of zero: nothing in it differs.
+    expected = np.ones(GRID.shape, bool)
+    expected[2:6, 2:6] = False
+    np.testing.assert_array_equal(mask, expected)
+
+
+def test_a_camera_inside_the_domain_removes_nothing_behind_it():
+    inside = PerspectiveView(
+        position=(0.4, 0.4, 0.25), target=(0.4, 0.4, 0.0), up=(0.0, 1.0, 0.0), field_of_view=100.0, pixels=(9, 9)
+    )
+    mask = carve(GRID, *images([inside]))
+    assert mask[:, :, 2:].all()
+    assert not mask[4, 4, 0]
+
+
+def test_a_camera_that_looks_away_removes_nothing():
+    away = PerspectiveView(
+        position=(0.4, 0.4, 0.9), target=(0.4, 0.4, 2.0), up=(0.0, 1.0, 0.0), field_of_view=60.0, pixels=(9, 9)
+    )
+    assert carve(GRID, *images([away])).all()
+
+
+def test_a_voxel_is_kept_if_it_only_touches_a_cloudy_pixel():
+    # Pixels of one and a half voxels: pixel 0 covers voxel 0 and half of voxel 1.
+    grid = Grid(shape=(6, 6, 1), spacing=(0.1, 0.1, 0.1))
+    view = OrthographicView(width=0.6, pixels=(4, 4), zenith=0.0)
+    mask = carve(grid, *images([view], [(0, 3, 0)]))
+    assert np.argwhere(mask[:, :, 0]).tolist() == [[0, 0], [0, 1], [1, 0], [1, 1]]
+
+
+@pytest.mark.parametrize("cloud", [0.02, 0.3])
+def test_brighter_and_darker_than_the_ground_are_both_cloud(cloud):
+    measurements, clear = images([FROM_ABOVE], [(0, 4, 4)], cloud=cloud)
+    assert np.argwhere(cloudy_pixels(measurements, clear)[0]).tolist() == [[4, 4]]
+
+
+def test_a_pixel_too_noisy_to_tell_counts_as_cloudy():
+    measurements, clear = images([FROM_ABOVE], [(0, 4, 4)])
+    measurements.standard_errors[0][1, 1] = 0.1
+    assert np.argwhere(cloudy_pixels(measurements, clear)[0]).tolist() == [[1, 1], [4, 4]]
+
+
+def test_noise_alone_marks_few_pixels():
+    view = OrthographicView(width=0.8, pixels=(64, 64), zenith=0.0)
+    square = [(0, row, column) for row in range(20, 40) for column in range(20, 40)]
+    measurements, clear = images([view], square, error=0.01)
+    noise = np.random.default_rng(0).normal(0.0, 0.01, (64, 64))
+    noisy = Measurements(measurements.views, (measurements.images[0] + noise,), measurements.standard_errors)
+    cloudy = cloudy_pixels(noisy, clear)[0]
+    assert cloudy[20:40, 20:40].all()
+    assert cloudy.sum() < 400 + 0.01 * 64**2
+
+
+def test_ground_lit_by_the_cloud_is_no_cloud():
+    view = OrthographicView(width=0.8, pixels=(16, 16), zenith=0.0)
+    measurements, clear = images([view], [(0, row, 3) for row in range(4, 9)])
+    measurements.images[0][:, 8:] += 0.01  # one per cent of the cloud's brightness
+    assert not cloudy_pixels(measurements, clear)[0][:, 8:].any()
+
+
+def test_a_contour_as_bright_as_the_ground_is_closed():
+    view = OrthographicView(width=0.8, pixels=(16, 16), zenith=0.0)
+    bright = [(0, row, column) for row in range(3, 12) for column in range(3, 12) if column != 6]
+    cloudy = cloudy_pixels(*images([view], bright))[0]
+    assert cloudy[3:12, 3:12].all()
+    assert cloudy.sum() == 81
+
+
+def test_rays_beside_the_domain_do_not_count():
+    wide = OrthographicView(width=1.6, pixels=(16, 16), zenith=0.0)
+    meets = pixels_that_meet(wide, GRID)
+    assert meets[4:12, 4:12].all()
+    # A pixel that shares an edge with the domain's outline touches it.
+    assert not meets[:3].any() and not meets[13:].any() and not meets[:, :3].any() and not meets[:, 13:].any()
+
+
+def test_what_lies_beside_the_domain_keeps_no_voxel():
+    oblique = OrthographicView(width=2.4, pixels=(24, 24), zenith=60.0, azimuth=45.0)
+    measurements, clear = images([oblique])
+    measurements.images[0][~pixels_that_meet(oblique, GRID)] = 1.0
+    assert not carve(GRID, measurements, clear).any()
+
+
+def test_pieces_of_the_domain_are_put_together_right(monkeypatch):
+    view = PerspectiveView(position=(1.5, -0.6, 1.5), target=(0.4, 0.4, 0.2), field_of_view=50.0, pixels=(20, 20))
+    arguments = images([view], [(0, 9, 9), (0, 10, 12)])
+    whole = carve(GRID, *arguments)
+    assert 0 < whole.sum() < whole.size
+    monkeypatch.setattr(carving, "_CORNERS_AT_ONCE", 1)
+    np.testing.assert_array_equal(carve(GRID, *arguments), whole)
+
+
+@pytest.mark.parametrize("shape", [(2, 2, 2), (3, 5, 7), (11, 9, 10)])
+def test_a_coarsened_mask_covers_all_that_was_kept(shape):
+    mask = np.zeros((6, 6, 6), bool)
+    mask[2, 3, 4] = True
+    coarse = coarsened(mask, shape)
+    middle = tuple(int((index + 0.5) / 6 * count) for index, count in zip((2, 3, 4), shape))
+    assert coarse[middle] and coarse.shape == shape
+    if shape == (2, 2, 2):
+        assert coarse.sum() == 1
+
+
+def test_clear_images_of_other_views_are_named():
+    other = OrthographicView(width=0.7, pixels=(8, 8), zenith=0.0)
+    with pytest.raises(DataError, match="not of the measurements' views"):
+        carve(GRID, images([FROM_ABOVE])[0], images([other])[1])
+
+
+def test_negative_thresholds_are_named():
+    with pytest.raises(DataError, match="contrast is -1"):
+        carve(GRID, *images([FROM_ABOVE]), contrast=-1.0)
