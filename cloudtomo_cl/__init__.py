@@ -1,1 +1,55 @@
-"""3-D cloud extinction from images taken from several directions."""
+"""3-D cloud extinction from images taken from several directions.
+
+Lengths are in km, extinction in km^-1, angles in degrees, radiance in W m^-2 sr^-1; x runs
+east, y north, z up, and the ground is z = 0.
+"""
+
+from cloudtomo_cl.carving import carve
+from cloudtomo_cl.clouds import cumulus
+from cloudtomo_cl.device import choose_device, list_devices
+from cloudtomo_cl.errors import CloudtomoError
+from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.inversion import Reconstruction, reconstruct
+from cloudtomo_cl.io import read_extinction, read_measurements, write_extinction, write_measurements
+from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.metrics import delta, epsilon
+from cloudtomo_cl.optimizer import Optimizer
+from cloudtomo_cl.phase import HenyeyGreenstein
+from cloudtomo_cl.prior import Prior
+from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
+from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+from cloudtomo_cl.stages import Stage, automatic_stages
+from cloudtomo_cl.transport import RadianceOperator, Rendering
+
+__all__ = [
+    "Air",
+    "Boundary",
+    "Cloud",
+    "CloudtomoError",
+    "Grid",
+    "HenyeyGreenstein",
+    "Measurements",
+    "Optimizer",
+    "OrthographicView",
+    "PerspectiveView",
+    "Prior",
+    "RadianceOperator",
+    "Reconstruction",
+    "Rendering",
+    "Scene",
+    "Stage",
+    "Sun",
+    "Surface",
+    "automatic_stages",
+    "carve",
+    "choose_device",
+    "cumulus",
+    "delta",
+    "epsilon",
+    "list_devices",
+    "read_extinction",
+    "read_measurements",
+    "reconstruct",
+    "write_extinction",
+    "write_measurements",
+]

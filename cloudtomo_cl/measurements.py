@@ -52,3 +52,14 @@ class Measurements:
             share = width * height / image.size
             errors.append(np.sqrt(resample(error**2, (height, width)) * min(share, 1.0)))
         return Measurements(tuple(views), tuple(images), tuple(errors))
+
+    def at_share(self, share: float) -> Measurements:
+        """The images with `share` of their width and height, but at least 8 pixels or all there are."""
+        if share == 1:
+            return self
+        return self.resampled(
+            [
+                tuple(min(count, max(8, round(share * count))) for count in view.pixels)  # type: ignore[misc]
+                for view in self.views
+            ]
+        )

@@ -13,23 +13,22 @@ def relative_weights(measured: np.ndarray, share: float = 0.1) -> np.ndarray:
     return 1.0 / (measured + share * measured.mean()) ** 2
 
 
-def crossed_cost(halves: np.ndarray, measured: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
-    """F = 1/2 sum_d w_d (i_d - m_d)^2 without the bias of the paths' noise, and its standard error.
+def cost_of_independent(
+    first: np.ndarray,
+    first_variance: np.ndarray,
+    second: np.ndarray,
+    second_variance: np.ndarray,
+    weights: np.ndarray,
+) -> tuple[float, float]:
+    """F = 1/2 sum_d w_d (i_d - m_d)^2 from two independent estimates of the residuals.
 
-    The residuals of two independent halves of the paths are multiplied: the mean of
-    (A - m)(B - m) is (i - m)^2. The standard error takes the halves' difference as their noise.
-
-    Parameters
-    ----------
-    halves : means over even and over odd samples, shape (pixels, 2)
-    measured, weights : shape (pixels,)
+    Their product has the mean (i - m)^2, where a square of one of them would be too large by
+    its variance. Returns F and its standard error. All arrays have shape (pixels,).
     """
-    residuals = halves - measured[:, None]
-    products = weights * residuals.prod(axis=1)
-    noise = (halves[:, 0] - halves[:, 1]) ** 2 / 2  # variance of one half
-    signal = np.maximum(residuals.prod(axis=1), 0.0)
-    variance = np.sum(weights**2 * (2 * signal * noise + noise**2))
-    return 0.5 * float(products.sum()), 0.5 * float(np.sqrt(variance))
+    product = first * second
+    signal = np.maximum(product, 0.0)
+    variance = signal * (first_variance + second_variance) + first_variance * second_variance
+    return 0.5 * float(np.sum(weights * product)), 0.5 * float(np.sqrt(np.sum(weights**2 * variance)))
 
 
 class LaggedResidual:
@@ -37,7 +36,8 @@ class LaggedResidual:
 
     With memory 1, half A's derivative meets half B's residual and the reverse ("crossed
     halves"). With a longer memory the modelled image is averaged over about that many
-    iterations: less noise in the gradient, but the residual lags while the extinction moves.
+    iterations: less noise in cost and gradient, but the residual lags while the extinction
+    moves. Usage in an iteration: `cost`, then `adjoint`, which remembers the image.
 
     Parameters
     ----------
@@ -50,7 +50,20 @@ class LaggedResidual:
         self.weights = weights
         self.memory = memory
         self._mean = np.zeros_like(measured)
+        self._variance = np.zeros_like(measured)
         self._iterations = 0
+
+    def cost(self, halves: np.ndarray) -> tuple[float, float]:
+        """F and its standard error, from halves of shape (pixels, 2)."""
+        residuals = halves - self.measured[:, None]
+        # One pixel's halves tell its variance badly; no bias matters here, only the size.
+        half_variance = (halves[:, 0] - halves[:, 1]) ** 2 / 2
+        if self.memory == 1 or self._iterations == 0:
+            first, second = residuals.T
+            return cost_of_independent(first, half_variance, second, half_variance, self.weights)
+        return cost_of_independent(
+            self._mean - self.measured, self._variance, residuals.mean(axis=1), half_variance / 2, self.weights
+        )
 
     def adjoint(self, halves: np.ndarray) -> np.ndarray:
         """d F / d halves, shape (pixels, 2); then remembers these halves."""
@@ -58,4 +71,6 @@ class LaggedResidual:
         rate = 1.0 / min(self._iterations, self.memory)
         other = (1.0 - rate) * self._mean[:, None] + rate * halves[:, ::-1]
         self._mean += rate * (halves.mean(axis=1) - self._mean)
+        variance = (halves[:, 0] - halves[:, 1]) ** 2 / 4
+        self._variance = (1.0 - rate) ** 2 * self._variance + rate**2 * variance
         return 0.5 * self.weights[:, None] * (other - self.measured[:, None])

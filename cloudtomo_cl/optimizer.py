@@ -9,6 +9,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.device import Device
+from cloudtomo_cl.grid import Count
 from cloudtomo_cl.scene import NotNegative, Positive
 
 Decay = Annotated[float, Field(ge=0, lt=1)]
@@ -24,16 +25,26 @@ class Optimizer:
     step : ADAM: length of a step in the variable; SGD: factor of the gradient
     variable : "extinction" (km^-1), or its "square-root" (km^-1/2), in which thin voxels take
         smaller steps
+    start : extinction inside the mask before the first stage, km^-1
     floor : least extinction inside the mask, km^-1; the score function needs it above 0
     decay1, decay2 : of ADAM's moments
+    halving : iterations of a stage after which the step is half of what it began with
+        (step / (1 + iteration / halving)); none: constant
+    averaging : the estimate is a running mean of the extinction over about so many iterations
+    image_memory : iterations over which modelled images are averaged into the residual; 1 is
+        the residual of crossed halves
     """
 
     type: Literal["adam", "sgd"] = "adam"
-    step: Positive = 0.2
+    step: Positive = 0.1
     variable: Literal["extinction", "square-root"] = "square-root"
+    start: Positive = 2.0
     floor: NotNegative = 0.01
     decay1: Decay = 0.9
-    decay2: Decay = 0.99
+    decay2: Decay = 0.999
+    halving: Positive | None = 60.0
+    averaging: Count = 10
+    image_memory: Count = 20
 
 
 class Descent:
@@ -41,31 +52,42 @@ class Descent:
 
     Parameters
     ----------
-    extinction : on the device, float32, km^-1; changed by every step
+    extinction : where to start, km^-1, shape of the grid
     mask : bool, same shape; voxels outside stay 0
+
+    Attributes
+    ----------
+    extinction : on the device, float32, km^-1; changed by every step
     """
 
-    def __init__(self, optimizer: Optimizer, extinction: Any, mask: np.ndarray, device: Device) -> None:
+    def __init__(self, optimizer: Optimizer, extinction: np.ndarray, mask: np.ndarray, device: Device) -> None:
         import pyopencl.array as cl_array
 
         self.optimizer = optimizer
         self.device = device
-        self.extinction = extinction
+        start = np.where(mask, np.maximum(extinction, optimizer.floor), 0.0)
+        self.extinction = cl_array.to_device(device.queue, np.ascontiguousarray(start, np.float32))
         self.steps = 0
+        self._mean = self.extinction.copy()
         self._mask = cl_array.to_device(device.queue, np.ascontiguousarray(mask, np.uint8))
-        self._moments = [cl_array.zeros_like(extinction) for _ in range(2 if optimizer.type == "adam" else 0)]
+        self._moments = [cl_array.zeros_like(self.extinction) for _ in range(2 if optimizer.type == "adam" else 0)]
         self._kernel = device.kernel("optimizer", f"{optimizer.type}_step")
 
-    def step(self, gradient: Any, scale: float = 1.0) -> None:
-        """One step; `scale` multiplies its length."""
+    def estimate(self) -> np.ndarray:
+        """The running mean of the extinction, km^-1."""
+        return self._mean.get()
+
+    def step(self, gradient: Any) -> None:
+        """One step against a gradient on the device, cost per km^-1."""
         optimizer = self.optimizer
+        length = optimizer.step / (1 + self.steps / optimizer.halving) if optimizer.halving else optimizer.step
         self.steps += 1
         arguments = [
             np.uint32(gradient.size),
             self.extinction.data,
             self._mask.data,
             gradient.data,
-            np.float32(optimizer.step * scale),
+            np.float32(length),
             np.int32(optimizer.variable == "square-root"),
             np.float32(optimizer.floor),
         ]
@@ -75,3 +97,4 @@ class Descent:
             arguments += [np.float32(decay) for decay in decays]
             arguments += [np.float32(1 / (1 - decay**self.steps)) for decay in decays]
         self.device.launch(self._kernel, gradient.size, *arguments)
+        self._mean += (self.extinction - self._mean) * np.float32(1 / min(self.steps, optimizer.averaging))

@@ -29,7 +29,7 @@ class Prior:
     threshold : km^-1
     """
 
-    smoothness: NotNegative = 0.0
+    smoothness: NotNegative = 2e-4
     monotonicity: NotNegative = 0.0
     c1: Positive = 0.2
     c2: Positive = 0.05
@@ -41,6 +41,7 @@ class PriorOperator:
 
     def __init__(self, prior: Prior, shape: tuple[int, int, int], device: Device) -> None:
         import pyopencl.array as cl_array
+        from pyopencl import cltypes
 
         self.prior = prior
         self.device = device
@@ -53,7 +54,7 @@ class PriorOperator:
         self._smooth, self._work, self._value, self._outer, self._inner = (
             cl_array.zeros(device.queue, shape, np.float32) for _ in range(5)
         )
-        self._shape = cl_array.vec.make_int3(*shape)
+        self._shape = cltypes.make_int3(*shape)
 
     def _launch(self, name: str, *arguments: Any) -> None:
         self.device.launch(self._kernels[name], int(np.prod(self.shape)), *arguments)
