@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -167,6 +168,12 @@ def voxel_crossings(
     return voxels[real], distances[:-1][real], lengths[real]
 
 
+@lru_cache
+def air_profile(scene: Scene) -> np.ndarray:
+    """Extinction of the molecules per layer, km^-1, shape (nz,)."""
+    return scene.air.profile(scene.grid) if scene.air else np.zeros(scene.grid.shape[2])
+
+
 @dataclass(frozen=True)
 class Flight:
     """A free flight, or the way to the sun.
@@ -189,21 +196,23 @@ def fly(
     scene: Scene, extinction: np.ndarray, position: np.ndarray, direction: np.ndarray, reach: float = np.inf
 ) -> Flight:
     """Flies until an optical depth `reach` of droplets and air, or out of the domain (Eqs. 3, 12, 16)."""
-    air = scene.air.profile(scene.grid) if scene.air else np.zeros(scene.grid.shape[2])
-    lengths = np.zeros(scene.grid.shape)
-    depth = 0.0
-    end = None
     voxels, starts, crossed = voxel_crossings(scene.grid, position, direction, scene.boundary.horizontal == "periodic")
-    for (x, y, z), start, length in zip(voxels, starts, crossed):
-        total = extinction[x, y, z] + air[z]
-        if depth + total * length >= reach:
-            part = (reach - depth) / total
-            lengths[x, y, z] += part
-            return Flight(lengths, reach, position + (start + part) * direction, (int(x), int(y), int(z)))
-        lengths[x, y, z] += length
-        depth += total * length
-        end = position + (start + length) * direction
-    return Flight(lengths, depth, end)
+    lengths = np.zeros(scene.grid.shape)
+    if len(voxels) == 0:
+        return Flight(lengths, 0.0)
+    total = extinction[tuple(voxels.T)] + air_profile(scene)[voxels[:, 2]]
+    depths = np.concatenate([[0.0], np.cumsum(total * crossed)])  # at the faces
+    collided = depths[-1] >= reach
+    if collided:
+        last = int(np.argmax(depths >= reach)) - 1
+        voxels, starts, crossed = voxels[: last + 1], starts[: last + 1], crossed[: last + 1].copy()
+        crossed[last] = (reach - depths[last]) / total[last]
+    np.add.at(lengths, tuple(voxels.T), crossed)
+    end = position + (starts[-1] + crossed[-1]) * direction
+    if collided:
+        x, y, z = voxels[-1]
+        return Flight(lengths, reach, end, (int(x), int(y), int(z)))
+    return Flight(lengths, float(depths[-1]), end)
 
 
 def transmittance(scene: Scene, extinction: np.ndarray, position: np.ndarray, direction: np.ndarray) -> float:
@@ -270,8 +279,7 @@ def met_particle(
     scene: Scene, extinction: np.ndarray, voxel: tuple[int, int, int], u: float
 ) -> tuple[Particle, float, float]:
     """The particle of a collision, its single-scattering albedo, and 1 / extinction of a droplet, else 0."""
-    air = scene.air.profile(scene.grid)[voxel[2]] if scene.air else 0.0
-    droplets = extinction[voxel]
+    air, droplets = air_profile(scene)[voxel[2]], extinction[voxel]
     if u * (droplets + air) < droplets:
         return "droplet", scene.cloud.single_scattering_albedo, 1 / droplets
     return "molecule", scene.air.single_scattering_albedo, 0.0  # type: ignore[union-attr]

@@ -39,7 +39,7 @@ def test_rays_are_those_of_the_reference(probe, view):
         column, row = pixel % view.pixels[0] + jitter[0], pixel // view.pixels[0] + jitter[1]
         start, expected = reference.camera_ray(view, GRID, column, row)
         np.testing.assert_allclose(direction, expected, atol=5e-7)
-        # The start along the ray is free: only the line matters, and that it lies before the domain.
+        # The start along the ray is free: only the line matters.
         apart = origin - start
         np.testing.assert_allclose(apart - (apart @ expected) * expected, 0, atol=3e-6)
 

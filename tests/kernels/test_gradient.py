@@ -33,7 +33,7 @@ def test_gradients_are_those_of_the_reference(device, random, scene, estimator):
                 expected += adjoint[pixel, sample % 2] * contribution.derivative / (SAMPLES // 2)
     found = operator.gradient(rendering, adjoint).get()
     assert np.abs(expected).max() > 0
-    np.testing.assert_allclose(found, expected, atol=2e-4 * np.abs(expected).max())
+    np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
 
 
 def test_gradients_scale_with_the_suns_irradiance(device):
@@ -48,12 +48,13 @@ def test_gradients_scale_with_the_suns_irradiance(device):
 
 # --- finite differences -----------------------------------------------------------------
 
-GRID = Grid(shape=(4, 4, 4), spacing=(0.08, 0.08, 0.08), origin=(0.0, 0.0, 0.1))
+GRID = Grid(shape=(4, 3, 3), spacing=(0.15, 0.15, 0.15), origin=(0.0, 0.0, 0.1))
+# Narrow views of the cloud's middle, so that each voxel matters to most paths.
 VIEWS = [
-    OrthographicView(width=0.4, pixels=(2, 2), zenith=30, azimuth=60),
-    PerspectiveView((0.1, -0.5, 0.9), (0.16, 0.16, 0.26), 40.0, (2, 2)),
+    OrthographicView(width=0.15, pixels=(2, 2), zenith=30, azimuth=60),
+    PerspectiveView((0.3, -0.5, 0.9), (0.3, 0.225, 0.325), 15.0, (2, 2)),
 ]
-VOXELS = {"inside": (1, 1, 1), "the cloud's edge": (2, 1, 2), "the domain's boundary": (0, 2, 3)}
+VOXELS = {"inside": (1, 1, 1), "the cloud's edge": (2, 1, 1), "the domain's boundary": (1, 1, 2)}
 DIFFERENTIATED = {
     "isotropic": Scene(GRID, Sun(zenith=0), optics(0.0)),
     "forward peak": Scene(GRID, Sun(zenith=35, azimuth=20), optics(0.85)),
@@ -66,10 +67,22 @@ BATCHES, PER_BATCH = 16, 2500
 
 def cloud():
     """Extinction, km^-1: a cloud that does not fill the domain, its optical thickness about 1.5."""
-    values = np.random.default_rng(4).uniform(3, 8, GRID.shape)
-    values[3, :, 2:] = 0.0  # so (2, 1, 2) has an empty neighbour
-    values[:, 3, 1] = 0.0
+    values = np.random.default_rng(4).uniform(2, 5, GRID.shape)
+    values[3, 1] = 0.0
+    values[0, 0, 0] = 0.0
     return values.astype(np.float32).astype(float)
+
+
+def directions(extinction):
+    """Changes of the extinction, km^-1: of single voxels, and of all in proportion."""
+    for name, voxel in VOXELS.items():
+        change = np.zeros(GRID.shape)
+        change[voxel] = extinction[voxel]
+        yield name, change
+    yield "the whole cloud", extinction
+
+
+STEP = {"the whole cloud": 0.1}  # else 0.4
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
@@ -78,8 +91,9 @@ def test_gradients_are_those_of_finite_differences(device, scene, estimator):
     """16 batches of 20,000 paths, each with its own random numbers, which both sides share.
 
     The difference between the two, over the batches, must be zero by Student's t at a
-    significance of 1e-4 per voxel. A step of a quarter of the extinction leaves an error of
-    (step x length)^2 / 6, at most 0.5 % of the derivative, well inside the standard errors.
+    significance of 1e-4 per direction. A central step of 0.4 of the extinction of a voxel
+    leaves an error of (step x length)^2 / 6, at most 2 % of the derivative, inside the
+    standard errors; most derivatives here are 10 to 50 standard errors large.
 
     Where the extinction is 0 this gradient has no collision term (docs/estimators.md), so
     empty voxels are left out.
@@ -92,20 +106,19 @@ def test_gradients_are_those_of_finite_differences(device, scene, estimator):
     def cost(values, batch):
         return weights @ operator.render(values, PER_BATCH, seed=21, iteration=batch).mean
 
-    gradients = np.array(
-        [
-            operator.gradient(operator.render(extinction, PER_BATCH, 21, batch, keep_paths=True), adjoint).get()
-            for batch in range(BATCHES)
-        ]
-    )
-    for name, voxel in VOXELS.items():
-        step = np.zeros(GRID.shape)
-        step[voxel] = extinction[voxel] / 4
+    gradients = [
+        operator.gradient(operator.render(extinction, PER_BATCH, 21, batch, keep_paths=True), adjoint).get()
+        for batch in range(BATCHES)
+    ]
+    for name, change in directions(extinction):
+        step = STEP.get(name, 0.4)
         differences = np.array(
-            [(cost(extinction + step, b) - cost(extinction - step, b)) / (2 * step[voxel]) for b in range(BATCHES)]
+            [
+                (cost(extinction + step * change, batch) - cost(extinction - step * change, batch)) / (2 * step)
+                for batch in range(BATCHES)
+            ]
         )
-        found = gradients[(slice(None), *voxel)]
-        t, p = stats.ttest_1samp(found - differences, 0.0)
-        print(f"{name}: {found.mean():.6f} against {differences.mean():.6f}, standard error "
-              f"{np.std(found - differences, ddof=1) / BATCHES**0.5:.6f}, t {t:.2f}")
-        assert p > 1e-4, name
+        found = np.array([np.sum(gradient * change) for gradient in gradients])
+        error = stats.sem(found - differences)
+        print(f"{name}: {found.mean():.5f}, differences {differences.mean():.5f}, standard error {error:.5f}")
+        assert stats.ttest_1samp(found - differences, 0.0).pvalue > 1e-4, name
