@@ -6,8 +6,8 @@
     if (i >= (count)) \
         return
 
-__kernel void probe_uniforms(const uint count, const __global uint *keys, /* seed, iteration, pixel, view, sample, block */
-                             __global float *result)
+/* Keys: seed, iteration, pixel, view, sample, block. */
+__kernel void probe_uniforms(const uint count, const __global uint *keys, __global float *result)
 {
     PROBE(count);
     const __global uint *k = keys + 6 * i;

@@ -34,7 +34,7 @@ def rays(probe, view, sample=0):
 @pytest.mark.parametrize("view", VIEWS.values(), ids=VIEWS)
 def test_rays_are_those_of_the_reference(probe, view):
     origins, directions = rays(probe, view, sample=3)
-    for pixel, (origin, direction) in enumerate(zip(origins, directions)):
+    for pixel, (origin, direction) in enumerate(zip(origins, directions, strict=True)):
         jitter = reference.uniforms(SEED, 0, 0, pixel, 3, 0)
         column, row = pixel % view.pixels[0] + jitter[0], pixel // view.pixels[0] + jitter[1]
         start, expected = reference.camera_ray(view, GRID, column, row)

@@ -2,7 +2,18 @@
 
 import numpy as np
 import pytest
-from scenes import ABOVE, CAMERA, ESTIMATORS, PERIODIC, SCENES, extinction_of, kernel_paths, optics, radiances, reference_paths
+from scenes import (
+    ABOVE,
+    CAMERA,
+    ESTIMATORS,
+    PERIODIC,
+    SCENES,
+    extinction_of,
+    kernel_paths,
+    optics,
+    radiances,
+    reference_paths,
+)
 from scipy import stats
 
 from cloudtomo_cl.grid import Grid
@@ -62,7 +73,7 @@ DIFFERENTIATED = {
     "ground": Scene(GRID, Sun(zenith=35, azimuth=20), optics(0.6), surface=Surface(0.7)),
     "periodic": Scene(GRID, Sun(zenith=60, azimuth=20), optics(0.7, 0.9), boundary=PERIODIC),
 }
-BATCHES, PER_BATCH = 16, 2500
+BATCHES, PER_BATCH = 16, 2000
 
 
 def cloud():
@@ -88,7 +99,7 @@ STEP = {"the whole cloud": 0.1}  # else 0.4
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 @pytest.mark.parametrize("scene", DIFFERENTIATED.values(), ids=DIFFERENTIATED)
 def test_gradients_are_those_of_finite_differences(device, scene, estimator):
-    """16 batches of 20,000 paths, each with its own random numbers, which both sides share.
+    """16 batches of 16,000 paths, each with its own random numbers, which both sides share.
 
     The difference between the two, over the batches, must be zero by Student's t at a
     significance of 1e-4 per direction. A central step of 0.4 of the extinction of a voxel

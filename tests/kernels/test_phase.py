@@ -32,7 +32,8 @@ def sphere_quadrature(g):
     """
     t, weight = GAUSS_LEGENDRE
     cosine = np.array([reference.sample_henyey_greenstein((x + 1) / 2, g) for x in t])
-    return cosine.astype(np.float32), weight / 2 / reference.henyey_greenstein(cosine.astype(np.float32).astype(float), g)
+    cosine = cosine.astype(np.float32)
+    return cosine, weight / 2 / reference.henyey_greenstein(cosine.astype(float), g)
 
 
 # (1 - g)^2 of a float32 sum near 1 has lost log10(1 / (1 - g)^2) digits: at g = 0.99 the
@@ -86,16 +87,17 @@ def test_sampled_cosines_run_from_backward_to_forward(probe, column, g):
     np.testing.assert_allclose(phase(probe, g, u=u)[:, column], [-1, 1], atol=1e-4)
 
 
+def optics(g):
+    """A scene with droplets of asymmetry g."""
+    grid = Grid(shape=(1, 1, 1), spacing=(1, 1, 1))
+    return Scene(grid, Sun(zenith=0), Cloud(phase_function=HenyeyGreenstein(g=g)))
+
+
 def scattered(probe, particle, g, random, before, count):
     """`count` directions scattered out of `before`, and their densities."""
-    scene = Scene(
-        grid=Grid(shape=(1, 1, 1), spacing=(1, 1, 1)),
-        sun=Sun(zenith=0),
-        cloud=Cloud(phase_function=HenyeyGreenstein(g=g)),
-    )
     numbers = reference.open_uniform(random.integers(0, 2**32, (count, 2), dtype=np.uint32))
     found = probe(
-        "probe_scatter", count, scene_struct(scene, False), np.int32(particle),
+        "probe_scatter", count, scene_struct(optics(g), False), np.int32(particle),
         np.tile(np.float32(before), (count, 1)), numbers, results=[np.zeros((count, 4), np.float32)],
     )  # fmt: skip
     return found[:, :3].astype(float), found[:, 3].astype(float)
@@ -134,10 +136,7 @@ def test_densities_of_scattered_directions_are_those_of_the_reference(probe, ran
     before = np.array([0.48, -0.6, 0.64])
     after, density = scattered(probe, particle, g, random, before, 1000)
     name = ("droplet", "molecule", "surface")[particle]
-    scene = Scene(
-        grid=Grid(shape=(1, 1, 1), spacing=(1, 1, 1)), sun=Sun(zenith=0), cloud=Cloud(phase_function=HenyeyGreenstein(g=g))
-    )
-    expected = [reference.scatter_density(scene, name, before, direction) for direction in after]
+    expected = [reference.scatter_density(optics(g), name, before, direction) for direction in after]
     # A cosine's rounding of 1e-7 changes the density of g = 0.85 at its peak by 1e-5.
     np.testing.assert_allclose(density, expected, rtol=5e-5, atol=1e-6)
 
@@ -161,9 +160,9 @@ AXES = {
 def around(probe, axis, cosine, u):
     axes = np.tile(np.float32(axis), (len(cosine), 1))
     count = len(cosine)
-    return probe(
-        "probe_direction_around", count, axes, np.float32(cosine), np.float32(u), results=[np.zeros((count, 3), np.float32)]
-    ).astype(float)
+    result = np.zeros((count, 3), np.float32)
+    found = probe("probe_direction_around", count, axes, np.float32(cosine), np.float32(u), results=[result])
+    return found.astype(float)
 
 
 @pytest.fixture
@@ -187,6 +186,6 @@ def test_directions_around_an_axis_keep_the_cosine(probe, axis, grid_of_angles):
 @pytest.mark.parametrize("axis", AXES.values(), ids=AXES)
 def test_directions_around_an_axis_are_those_of_the_reference(probe, axis, grid_of_angles):
     axis = np.array(axis) / np.linalg.norm(axis)
-    expected = [reference.direction_around(axis, c, u) for c, u in zip(*grid_of_angles)]
+    expected = [reference.direction_around(axis, c, u) for c, u in zip(*grid_of_angles, strict=True)]
     # The sine of a small angle loses half of its digits.
     np.testing.assert_allclose(around(probe, axis, *grid_of_angles), expected, atol=2e-6)

@@ -41,7 +41,7 @@ def test_the_words_of_a_key_take_their_places(probe):
     # One word is set at a time: a swap of two words would give another block.
     chosen = np.eye(6, dtype=np.uint32) * 7
     found = probe("probe_uniforms", 6, chosen, results=[np.zeros((6, 4), np.float32)])
-    for numbers, (seed, iteration, pixel, view, sample, block) in zip(found, chosen):
+    for numbers, (seed, iteration, pixel, view, sample, block) in zip(found, chosen, strict=True):
         expected = reference.uniforms(seed, iteration, view, pixel, sample, block)
         np.testing.assert_array_equal(numbers, expected.astype(np.float32))
 

@@ -162,7 +162,8 @@ def test_transmittance_along_a_ray(probe, random, inside, air):
     case = scene(air=air)
     found = flights(probe, case, extinction, positions, directions, np.full(200, np.inf))
     starts = np.float32(positions).astype(float) * GRID.spacing + GRID.origin
-    expected = [reference.transmittance(case, extinction, p, d) for p, d in zip(starts, np.float32(directions).astype(float))]
+    rounded = np.float32(directions).astype(float)
+    expected = [reference.transmittance(case, extinction, start, d) for start, d in zip(starts, rounded, strict=True)]
     assert not found[:, 1].any()
     np.testing.assert_allclose(np.exp(-found[:, 0]), expected, rtol=1e-4)
 
@@ -173,7 +174,7 @@ def test_flights_collide_where_their_optical_depth_is_reached(probe, random):
     extinction, case = random_extinction(random), scene(air=AIR)
     reach = random.exponential(1.0, 300)
     found = flights(probe, case, extinction, positions, directions, reach)
-    for row, position, direction, depth in zip(found, positions, directions, np.float32(reach).astype(float)):
+    for row, position, direction, depth in zip(found, positions, directions, np.float32(reach).astype(float), strict=True):
         flight = reference.fly(case, extinction, position * GRID.spacing + GRID.origin, direction, depth)
         assert bool(row[1]) == (flight.voxel is not None)
         if flight.voxel is not None:

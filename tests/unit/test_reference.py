@@ -22,12 +22,14 @@ def test_the_smoothness_matrix_is_a_convolution_with_nearest_edges(extinction):
     kernel = np.full((3, 3, 3), 1 / 26)
     kernel[1, 1, 1] = -1
     expected = ndimage.convolve(extinction, kernel, mode="nearest")
-    np.testing.assert_allclose((reference.smoothness_matrix(SHAPE) @ extinction.ravel()).reshape(SHAPE), expected, atol=1e-12)
+    found = reference.smoothness_matrix(SHAPE) @ extinction.ravel()
+    np.testing.assert_allclose(found.reshape(SHAPE), expected, atol=1e-12)
 
 
 def test_the_vertical_matrix_is_numpys_gradient(extinction):
     expected = np.gradient(extinction, axis=2)
-    np.testing.assert_allclose((reference.vertical_matrix(SHAPE) @ extinction.ravel()).reshape(SHAPE), expected, atol=1e-12)
+    found = reference.vertical_matrix(SHAPE) @ extinction.ravel()
+    np.testing.assert_allclose(found.reshape(SHAPE), expected, atol=1e-12)
 
 
 def test_one_layer_has_no_vertical_derivative():
