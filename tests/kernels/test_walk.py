@@ -168,19 +168,28 @@ def test_transmittance_along_a_ray(probe, random, inside, air):
     np.testing.assert_allclose(np.exp(-found[:, 0]), expected, rtol=1e-4)
 
 
-def test_flights_collide_where_their_optical_depth_is_reached(probe, random):
+@pytest.mark.parametrize("periodic", [False, True], ids=["open", "periodic"])
+def test_flights_collide_where_their_optical_depth_is_reached(probe, random, periodic):
     positions, directions = rays(random, 300, True)
     positions, directions = np.float32(positions).astype(float), np.float32(directions).astype(float)
-    extinction, case = random_extinction(random), scene(air=AIR)
-    reach = random.exponential(1.0, 300)
+    extinction, case = random_extinction(random), scene(periodic, AIR)
+    reach = np.float32(random.exponential(1.0, 300)).astype(float)
     found = flights(probe, case, extinction, positions, directions, reach)
-    for row, position, direction, depth in zip(found, positions, directions, np.float32(reach).astype(float), strict=True):
+    collisions = 0
+    for row, position, direction, depth in zip(found, positions, directions, reach, strict=True):
         flight = reference.fly(case, extinction, position * GRID.spacing + GRID.origin, direction, depth)
         assert bool(row[1]) == (flight.voxel is not None)
-        if flight.voxel is not None:
-            np.testing.assert_allclose(row[5:], flight.position - GRID.origin, atol=TOLERANCE)
-            np.testing.assert_allclose(row[2], extinction[flight.voxel])
-            np.testing.assert_allclose(row[3], case.air.profile(GRID)[flight.voxel[2]])
+        if flight.voxel is None:
+            continue
+        collisions += 1
+        end = flight.position - GRID.origin
+        if periodic:
+            end[:2] %= GRID.extent[:2]
+        np.testing.assert_allclose(row[5:], end, atol=10 * TOLERANCE)
+        np.testing.assert_allclose(row[2], extinction[flight.voxel])
+        np.testing.assert_allclose(row[3], case.air.profile(GRID)[flight.voxel[2]])
+        assert row[4] == np.ravel_multi_index(flight.voxel, GRID.shape)
+    assert collisions > 100
 
 
 def test_flights_through_an_empty_domain_never_collide(probe, random):
