@@ -41,9 +41,13 @@ def test_fixed_point_sums_have_the_same_bits_in_any_order(probe, random):
 
 
 def test_compare_and_swap_loses_no_addition(probe_compare_and_swap, random):
-    # Integers below 2^24 add exactly in single precision, in any order.
-    values = random.integers(-100, 100, ADDS)
-    np.testing.assert_array_equal(accumulated(probe_compare_and_swap, values), expected(values))
+    # Integers below 2^24 add exactly in single precision, in any order. Every work item adds
+    # into the same sum, long enough for all cores to take part.
+    values = random.integers(-100, 100, 4_000_000)
+    found = probe_compare_and_swap(
+        "probe_accumulate", len(values), np.uint32(1), np.float32(values), results=[np.zeros(1, np.float32)]
+    )
+    assert found[0] == values.sum()
 
 
 def compensated(probe, values, terms):

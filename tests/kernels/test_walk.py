@@ -127,10 +127,20 @@ def test_lengths_of_rays_inside_faces_add_up(probe, periodic, place):
     np.testing.assert_allclose(found, GRID.extent[2], atol=TOLERANCE)
 
 
-@pytest.mark.parametrize(
-    "position, direction",
-    [([-1, 1, 2], [-1, 0, 0]), ([2, 1, 7], [0, 0, 1]), ([-1, 1, 2], [0, 0, 1]), ([9, 9, 9], [-1, -1, 0.5])],
-)
+MISSES = {
+    "away from the domain": ([-1, 1, 2], [-1, 0, 0]),
+    "up from above": ([2, 1, 7], [0, 0, 1]),
+    "past a corner": ([9, 9, 9], [-1, -1, 0.5]),
+    "vertical, west": ([-1, 1, 2], [0, 0, 1]),
+    "vertical, east": ([4.5, 1, 2], [0, 0, 1]),
+    "vertical, south": ([1, -1, 2], [0, 0, -1]),
+    "vertical, north": ([1, 3.5, 2], [0, 0, -1]),
+    "horizontal, below": ([-1, 1, -0.5], [1, 0, 0]),
+    "horizontal, above": ([-1, 1, 5.5], [1, 0, 0]),
+}
+
+
+@pytest.mark.parametrize("position, direction", MISSES.values(), ids=MISSES)
 def test_rays_that_miss_an_open_domain_cross_nothing(probe, position, direction):
     found, expected = total_lengths(probe, scene(), [position], [direction])
     assert found == expected == 0
