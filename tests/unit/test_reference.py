@@ -54,6 +54,12 @@ def test_the_prior_rewards_growth_with_height():
     assert up < 0 < down
 
 
+def test_the_prior_leaves_out_voxels_at_or_below_the_threshold():
+    column = np.array([[[0.0, 0.01, 0.5]]])
+    value, _ = reference.prior_value_and_gradient(column, 0.0, 1.0)
+    assert value == pytest.approx(-np.tanh(0.49 / 5) * np.tanh(0.5 / 20))
+
+
 @pytest.mark.parametrize("periodic", [False, True], ids=["open", "periodic"])
 def test_crossings_follow_each_other_without_gaps(random, periodic):
     grid = Grid(shape=(3, 4, 5), spacing=(0.1, 0.2, 0.3), origin=(1, 2, 3))
