@@ -1,0 +1,18 @@
+"""What the tests share."""
+
+import numpy as np
+import pytest
+
+from cloudtomo_cl.device import choose_device
+
+
+@pytest.fixture(scope="session")
+def device():
+    """The first device, or what CLOUDTOMO_DEVICE names."""
+    return choose_device()
+
+
+@pytest.fixture
+def random():
+    """Random numbers that are the same in every run and for every test."""
+    return np.random.default_rng(20240611)

@@ -1,0 +1,65 @@
+"""Small scenes in which paths of the kernels are compared with others."""
+
+import numpy as np
+
+from cloudtomo_cl import reference
+from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.phase import HenyeyGreenstein
+from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
+from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+
+GRID = Grid(shape=(3, 4, 3), spacing=(0.1, 0.08, 0.12), origin=(0.5, -0.2, 0.2))
+PERIODIC = Boundary(horizontal="periodic")
+
+ABOVE = OrthographicView(width=0.45, pixels=(3, 3), zenith=25, azimuth=200)
+CAMERA = PerspectiveView((0.6, -0.6, 1.0), (0.65, -0.05, 0.3), 35.0, (3, 3))
+
+
+def optics(g, albedo=1.0):
+    return Cloud(single_scattering_albedo=albedo, phase_function=HenyeyGreenstein(g=g))
+
+
+SCENES = {
+    "isotropic, overhead sun": Scene(GRID, Sun(zenith=0), optics(0.0)),
+    "forward peak": Scene(GRID, Sun(zenith=0), optics(0.85)),
+    "backward, oblique sun": Scene(GRID, Sun(zenith=60, azimuth=130), optics(-0.4)),
+    "absorbing": Scene(GRID, Sun(zenith=30, azimuth=10), optics(0.85, 0.8)),
+    "air": Scene(GRID, Sun(zenith=45, azimuth=250), optics(0.85), Air((2.0, 1.0, 0.0), 0.9)),
+    "ground": Scene(GRID, Sun(zenith=20, azimuth=45), optics(0.85), surface=Surface(0.6)),
+    "periodic": Scene(GRID, Sun(zenith=70, azimuth=30), optics(0.85), boundary=PERIODIC),
+    "air, ground, periodic": Scene(
+        GRID, Sun(zenith=60, azimuth=300), optics(0.85, 0.85), Air(0.7), Surface(0.3), PERIODIC
+    ),
+}
+ESTIMATORS = ["plain", "side-flights"]
+
+
+def extinction_of(scene, seed=3):
+    """Random, km^-1, a third of the voxels empty; values that single precision holds."""
+    random = np.random.default_rng(seed)
+    values = random.uniform(2, 20, scene.grid.shape) * (random.random(scene.grid.shape) > 0.33)
+    return values.astype(np.float32).astype(float)
+
+
+def reference_paths(scene, extinction, operator, samples, seed, iteration):
+    """Contributions of every path by the reference: a list of samples, of lists of pixels."""
+    return [
+        [
+            reference.path(
+                scene, extinction, operator.views[view], seed, iteration, view, pixel, sample,
+                operator.estimator == "side-flights",
+            )
+            for view, pixel in operator.pixels.astype(int)
+        ]
+        for sample in range(samples)
+    ]  # fmt: skip
+
+
+def radiances(paths):
+    """Sums of the contributions, in the same order."""
+    return np.array([[sum(c.radiance for c in contributions) for contributions in row] for row in paths])
+
+
+def kernel_paths(rendering):
+    """Radiance of every path of a rendering that kept them, shape (samples, pixels)."""
+    return np.concatenate([paths.get().reshape(number, -1) for _, number, paths in rendering._launches]).astype(float)

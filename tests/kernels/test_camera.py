@@ -1,0 +1,115 @@
+"""From a sample to a ray."""
+
+import numpy as np
+import pytest
+
+from cloudtomo_cl import reference
+from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.layout import scene_struct, view_structs
+from cloudtomo_cl.scene import Scene, Sun
+from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+
+GRID = Grid(shape=(4, 4, 5), spacing=(0.1, 0.1, 0.05), origin=(1.0, -2.0, 0.3))
+SEED = 11
+
+VIEWS = {
+    "perspective, oblique": PerspectiveView((0.2, -3, 1.5), (1.2, -1.8, 0.4), 40.0, (7, 5)),
+    "perspective, nadir": PerspectiveView((1.2, -1.8, 2.0), (1.2, -1.8, 0.0), 85.4, (5, 5), up=(0, 1, 0)),
+    "orthographic, nadir": OrthographicView(width=0.5, pixels=(5, 3), zenith=0),
+    "orthographic, oblique": OrthographicView(width=0.8, pixels=(3, 4), zenith=60, azimuth=110),
+    "orthographic, from a place": OrthographicView(0.5, (4, 4), position=(0, -2, 0.1), target=(1.2, -1.8, 0.4)),
+}
+
+
+def rays(probe, view, sample=0):
+    """Origins (km) and directions of one sample in every pixel."""
+    count = view.pixels[0] * view.pixels[1]
+    origins, directions = probe(
+        "probe_camera", count, scene_struct(Scene(grid=GRID, sun=Sun(zenith=0)), False), view_structs([view], GRID),
+        np.uint32(SEED), np.uint32(sample), results=[np.zeros((count, 3), np.float32)] * 2,
+    )  # fmt: skip
+    return origins.astype(float) + GRID.origin, directions.astype(float)
+
+
+@pytest.mark.parametrize("view", VIEWS.values(), ids=VIEWS)
+def test_rays_are_those_of_the_reference(probe, view):
+    origins, directions = rays(probe, view, sample=3)
+    for pixel, (origin, direction) in enumerate(zip(origins, directions, strict=True)):
+        jitter = reference.uniforms(SEED, 0, 0, pixel, 3, 0)
+        column, row = pixel % view.pixels[0] + jitter[0], pixel // view.pixels[0] + jitter[1]
+        start, expected = reference.camera_ray(view, GRID, column, row)
+        np.testing.assert_allclose(direction, expected, atol=5e-7)
+        # The start along the ray is free: only the line matters.
+        apart = origin - start
+        np.testing.assert_allclose(apart - (apart @ expected) * expected, 0, atol=3e-6)
+
+
+@pytest.mark.parametrize("view", VIEWS.values(), ids=VIEWS)
+def test_directions_have_unit_length(probe, view):
+    np.testing.assert_allclose(np.linalg.norm(rays(probe, view)[1], axis=1), 1, atol=3e-7)
+
+
+def angles(view, column, row):
+    """Degrees to the right of and above the line of sight."""
+    _, direction = reference.camera_ray(view, GRID, column, row)
+    sight = np.subtract(view.target, view.position) / np.linalg.norm(np.subtract(view.target, view.position))
+    right = np.cross(sight, view.up)
+    right /= np.linalg.norm(right)
+    forward = direction @ sight
+    return np.degrees(np.arctan([direction @ right / forward, direction @ np.cross(right, sight) / forward]))
+
+
+def test_corners_of_a_perspective_image_lie_at_half_the_field_of_view():
+    view = VIEWS["perspective, oblique"]
+    vertical = np.degrees(np.arctan(np.tan(np.radians(20)) * 5 / 7))
+    np.testing.assert_allclose(angles(view, 0, 0), [-20, vertical])
+    np.testing.assert_allclose(angles(view, 7, 0), [20, vertical])
+    np.testing.assert_allclose(angles(view, 7, 5), [20, -vertical])
+
+
+@pytest.mark.parametrize("view", VIEWS.values(), ids=VIEWS)
+def test_the_affine_rays_of_a_view_agree_with_the_reference_at_corners_and_centre(view):
+    origin, direction = view.rays(GRID)
+    for u, v in [(0, 0), (1, 0), (0, 1), (1, 1), (0.5, 0.5)]:
+        start, expected = reference.camera_ray(view, GRID, u * view.pixels[0], v * view.pixels[1])
+        found = direction[0] + u * direction[1] + v * direction[2]
+        np.testing.assert_allclose(found / np.linalg.norm(found), expected, atol=1e-12)
+        apart = origin[0] + u * origin[1] + v * origin[2] - start
+        np.testing.assert_allclose(np.cross(apart, expected), 0, atol=1e-12)
+
+
+
+def test_row_0_of_an_oblique_image_looks_highest(probe):
+    _, directions = rays(probe, VIEWS["perspective, oblique"])
+    heights = directions[:, 2].reshape(5, 7).mean(axis=1)
+    assert np.all(np.diff(heights) < 0)
+
+
+def test_columns_of_an_oblique_image_run_to_the_right(probe):
+    # Looking towards the north-east: south-east is on the right.
+    _, directions = rays(probe, VIEWS["perspective, oblique"])
+    south_east = (directions @ [1, -1, 0]).reshape(5, 7).mean(axis=0)
+    assert np.all(np.diff(south_east) > 0)
+
+
+def test_a_nadir_image_has_north_at_the_top_and_east_on_the_right(probe):
+    origins, directions = rays(probe, VIEWS["orthographic, nadir"])
+    np.testing.assert_allclose(directions, [[0, 0, -1]] * 15, atol=1e-7)
+    assert np.all(np.diff(origins[:, 1].reshape(3, 5).mean(axis=1)) < 0)
+    assert np.all(np.diff(origins[:, 0].reshape(3, 5).mean(axis=0)) > 0)
+
+
+def test_pixels_of_an_orthographic_image_are_square(probe):
+    origins, _ = rays(probe, VIEWS["orthographic, nadir"])
+    # Every sample lies in its own square of 0.1 km around the domain's centre.
+    columns, rows = np.meshgrid(np.arange(5), np.arange(3))
+    assert np.all(np.floor((origins[:, 0] - GRID.centre[0] + 0.25) / 0.1) == columns.ravel())
+    assert np.all(np.floor((GRID.centre[1] + 0.15 - origins[:, 1]) / 0.1) == rows.ravel())
+
+
+def test_samples_fill_their_pixel(probe):
+    view = OrthographicView(width=1.0, pixels=(1, 1), zenith=0)
+    places = np.array([rays(probe, view, sample)[0][0, :2] for sample in range(64)])
+    # 64 uniform numbers: one end stays empty by a tenth with probability 0.9^64 = 1e-3.
+    assert np.all(places.min(axis=0) - np.array(GRID.centre[:2]) < -0.4)
+    assert np.all(places.max(axis=0) - np.array(GRID.centre[:2]) > 0.4)

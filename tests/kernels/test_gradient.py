@@ -1,0 +1,135 @@
+"""The replayed gradient: against the reference path by path, and against finite differences."""
+
+import numpy as np
+import pytest
+from scenes import (
+    ABOVE,
+    CAMERA,
+    ESTIMATORS,
+    PERIODIC,
+    SCENES,
+    extinction_of,
+    kernel_paths,
+    optics,
+    radiances,
+    reference_paths,
+)
+from scipy import stats
+
+from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.scene import Air, Scene, Sun, Surface
+from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+from cloudtomo_cl.transport import RadianceOperator
+
+SEED, ITERATION, SAMPLES = 8, 2, 20
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
+def test_gradients_are_those_of_the_reference(device, random, scene, estimator):
+    extinction = extinction_of(scene)
+    operator = RadianceOperator(scene, [ABOVE, CAMERA], device, estimator=estimator)
+    rendering = operator.render(extinction, SAMPLES, seed=SEED, iteration=ITERATION, keep_paths=True)
+    paths = reference_paths(scene, extinction, operator, SAMPLES, SEED, ITERATION)
+    expected_radiance = radiances(paths)
+    agree = np.abs(kernel_paths(rendering) - expected_radiance) <= 1e-3 * np.abs(expected_radiance)
+    # A pixel's half that holds a path which rounding turned aside (test_paths.py) is left out.
+    whole = np.column_stack([agree[0::2].all(axis=0), agree[1::2].all(axis=0)])
+    assert whole.mean() > 0.8
+    adjoint = random.normal(size=whole.shape) * whole
+    expected = np.zeros(scene.grid.shape)
+    for sample, row in enumerate(paths):
+        for pixel, contributions in enumerate(row):
+            for contribution in contributions:
+                expected += adjoint[pixel, sample % 2] * contribution.derivative / (SAMPLES // 2)
+    found = operator.gradient(rendering, adjoint).get()
+    assert np.abs(expected).max() > 0
+    np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
+
+
+def test_gradients_scale_with_the_suns_irradiance(device):
+    bright = Scene(SCENES["ground"].grid, Sun(20, 45, irradiance=3.0), optics(0.85), surface=Surface(0.6))
+    results = []
+    for scene in (SCENES["ground"], bright):
+        operator = RadianceOperator(scene, [ABOVE], device)
+        rendering = operator.render(extinction_of(scene), 20, keep_paths=True)
+        results.append(operator.gradient(rendering, np.ones((9, 2))).get())
+    np.testing.assert_allclose(results[1], 3 * results[0], rtol=1e-5, atol=1e-7)
+
+
+# --- finite differences -----------------------------------------------------------------
+
+GRID = Grid(shape=(4, 3, 3), spacing=(0.15, 0.15, 0.15), origin=(0.0, 0.0, 0.1))
+# Narrow views of the cloud's middle, so that each voxel matters to most paths.
+VIEWS = [
+    OrthographicView(width=0.15, pixels=(2, 2), zenith=30, azimuth=60),
+    PerspectiveView((0.3, -0.5, 0.9), (0.3, 0.225, 0.325), 15.0, (2, 2)),
+]
+VOXELS = {"inside": (1, 1, 1), "the cloud's edge": (2, 1, 1), "the domain's boundary": (1, 1, 2)}
+DIFFERENTIATED = {
+    "isotropic": Scene(GRID, Sun(zenith=0), optics(0.0)),
+    "forward peak": Scene(GRID, Sun(zenith=35, azimuth=20), optics(0.85)),
+    "air": Scene(GRID, Sun(zenith=35, azimuth=20), optics(0.85, 0.9), Air((2.0, 1.0, 0.5, 0.2), 0.8)),
+    "ground": Scene(GRID, Sun(zenith=35, azimuth=20), optics(0.6), surface=Surface(0.7)),
+    "periodic": Scene(GRID, Sun(zenith=60, azimuth=20), optics(0.7, 0.9), boundary=PERIODIC),
+}
+BATCHES, PER_BATCH = 16, 2000
+
+
+def cloud():
+    """Extinction, km^-1: a cloud that does not fill the domain, its optical thickness about 1.5."""
+    values = np.random.default_rng(4).uniform(2, 5, GRID.shape)
+    values[3, 1] = 0.0
+    values[0, 0, 0] = 0.0
+    return values.astype(np.float32).astype(float)
+
+
+def directions(extinction):
+    """Changes of the extinction, km^-1: of single voxels, and of all in proportion."""
+    for name, voxel in VOXELS.items():
+        change = np.zeros(GRID.shape)
+        change[voxel] = extinction[voxel]
+        yield name, change
+    yield "the whole cloud", extinction
+
+
+STEP = {"the whole cloud": 0.1}  # else 0.4
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+@pytest.mark.parametrize("scene", DIFFERENTIATED.values(), ids=DIFFERENTIATED)
+def test_gradients_are_those_of_finite_differences(device, scene, estimator):
+    """16 batches of 16,000 paths, each with its own random numbers, which both sides share.
+
+    The difference between the two, over the batches, must be zero by Student's t at a
+    significance of 1e-4 per direction. A central step of 0.4 of the extinction of a voxel
+    leaves an error of (step x length)^2 / 6, at most 2 % of the derivative, inside the
+    standard errors; most derivatives here are 10 to 50 standard errors large.
+
+    Where the extinction is 0 this gradient has no collision term (docs/estimators.md), so
+    empty voxels are left out.
+    """
+    operator = RadianceOperator(scene, VIEWS, device, estimator=estimator)
+    weights = np.linspace(0.5, 1.5, len(operator.pixels))
+    adjoint = np.column_stack([weights, weights]) / 2
+    extinction = cloud()
+
+    def cost(values, batch):
+        return weights @ operator.render(values, PER_BATCH, seed=21, iteration=batch).mean
+
+    gradients = [
+        operator.gradient(operator.render(extinction, PER_BATCH, 21, batch, keep_paths=True), adjoint).get()
+        for batch in range(BATCHES)
+    ]
+    for name, change in directions(extinction):
+        step = STEP.get(name, 0.4)
+        differences = np.array(
+            [
+                (cost(extinction + step * change, batch) - cost(extinction - step * change, batch)) / (2 * step)
+                for batch in range(BATCHES)
+            ]
+        )
+        found = np.array([np.sum(gradient * change) for gradient in gradients])
+        error = stats.sem(found - differences)
+        print(f"{name}: {found.mean():.5f}, differences {differences.mean():.5f}, standard error {error:.5f}")
+        assert stats.ttest_1samp(found - differences, 0.0).pvalue > 1e-4, name
