@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import Grid, resample
@@ -85,6 +84,8 @@ def cloudy_pixels(
 
 def _filled(pixels: np.ndarray) -> np.ndarray:
     """Pixels with narrow gaps closed and holes filled; the image's edge opens no gap."""
+    from scipy import ndimage  # here: half of the package's import time
+
     square = np.ones((3, 3), dtype=bool)
     closed = ndimage.binary_closing(np.pad(pixels, 2, mode="edge"), square)[2:-2, 2:-2]
     return ndimage.binary_fill_holes(pixels | closed)

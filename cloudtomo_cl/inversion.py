@@ -182,7 +182,7 @@ class _Run:
             prior_value, prior_gradient = prior_operator.value_and_gradient(descent.extinction, stage.prior_weight)
             descent.step(gradient + prior_gradient)
             self.photons += samples * len(seen.pixels)
-            costs.append(cost)
+            costs.append(cost + prior_value)
             errors.append(error)
             self._record(index, iteration, cost, error, prior_value, descent)
             if self.is_over or has_settled(costs, errors, stage.window):

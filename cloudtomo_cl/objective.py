@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 
-def relative_weights(measured: np.ndarray, share: float = 0.1) -> np.ndarray:
-    """Weights 1 / (m + share <m>)^2 of squared residuals, so that bright pixels do not rule alone.
+def relative_weights(measured: np.ndarray) -> np.ndarray:
+    """Weights 1 / (m + m_rms)^2 of squared residuals: relative ones where it is bright.
 
-    measured : radiances, any unit, shape (pixels,); <m> is their mean
+    Bright pixels do not rule alone, and dark ones, in which the noise of the modelled image is
+    large relative to them, do not rule either.
+
+    measured : radiances, any unit, shape (pixels,); m_rms is their root mean square
     """
-    return 1.0 / (measured + share * measured.mean()) ** 2
+    return 1.0 / (measured + np.sqrt(np.mean(measured**2))) ** 2
 
 
 def cost_of_independent(

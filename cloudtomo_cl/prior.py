@@ -49,7 +49,7 @@ class PriorOperator:
         self._cl_array = cl_array
         self._kernels = {
             name: device.kernel("prior", name)
-            for name in ("laplacian", "laplacian_transpose", "monotonicity_terms", "prior_gradient")
+            for name in ("laplacian", "monotonicity_terms", "prior_gradient")
         }
         self._smooth, self._work, self._value, self._outer, self._inner = (
             cl_array.zeros(device.queue, shape, np.float32) for _ in range(5)
@@ -63,7 +63,7 @@ class PriorOperator:
         """weight R, and its gradient (km) on the device, for an extinction on the device."""
         prior, shape = self.prior, self._shape
         self._launch("laplacian", extinction.data, shape, self._work.data)
-        self._launch("laplacian_transpose", self._work.data, shape, self._smooth.data)
+        self._launch("laplacian", self._work.data, shape, self._smooth.data)
         self._launch(
             "monotonicity_terms",
             extinction.data,

@@ -398,7 +398,9 @@ def path(
             return contributions
         weight *= albedo
         towards_sun = own_share * weight * scatter_density(scene, particle, direction, sun)
-        roulette = v[0] if with_side_flights else None
+        # What a camera sees directly, and the ground, stay free of the roulette's noise.
+        plays = with_side_flights and event > 1 and particle != "surface"
+        roulette = v[0] if plays else None
         contributions.append(local_estimate(scene, extinction, position, towards_sun, history, roulette))
         if weight < PATH_ROULETTE_WEIGHT:
             if v[1] * PATH_ROULETTE_WEIGHT >= weight:

@@ -31,7 +31,8 @@ class Stage:
     samples : paths per pixel and iteration, even; by default so many that an iteration has
         about 200,000 paths
     iterations : at most; the stage ends earlier when its cost has stopped falling
-    window : iterations whose mean cost is compared with that of as many before
+    window : the least number of iterations whose mean cost is compared with that of as many
+        before
     prior_weight : factor of the prior
     """
 
@@ -56,18 +57,22 @@ def automatic_stages(grid: Grid) -> tuple[Stage, ...]:
     for share in shares:
         shape = tuple(min(n, max(4, round(n * share))) for n in grid.shape)
         last = share == shares[-1]
-        stages.append(Stage(grid=shape, pixels=min(1.0, 2 * share), iterations=400 if last else 100))
+        pixels = min(1.0, 2 * share)
+        # The last stage has the details to find, which show little in the cost.
+        stages.append(Stage(grid=shape, pixels=pixels, iterations=600 if last else 100, window=60 if last else 20))
     return tuple(stages)
 
 
 def has_settled(costs: Sequence[float], standard_errors: Sequence[float], window: int) -> bool:
     """Whether the cost has stopped falling beyond its noise.
 
-    Compares the mean of the last `window` costs with the mean of as many before: settled if it
-    is not lower by two standard errors of the difference.
+    Compares the mean of the last costs with the mean of as many before: settled if it is not
+    lower by two standard errors of the difference. The means are over `window` costs, or over
+    a third of all if that is more: slow progress shows late.
     """
     if len(costs) < 2 * window:
         return False
+    window = max(window, len(costs) // 3)
     before, now = np.mean(costs[-2 * window : -window]), np.mean(costs[-window:])
     noise = np.sqrt(np.sum(np.square(standard_errors[-2 * window :]))) / window
     return bool(before - now < _SIGNIFICANCE * noise)

@@ -26,14 +26,15 @@ inline void accumulate(volatile __global Accumulator *sum, float value)
 }
 #endif
 
-/* A sum of many floats that does not drift: sum + low is exact to about twice the bits
- * (Knuth's two-sum). */
+/* A sum of many floats that does not drift: sum + low holds about twice the bits (Knuth's
+ * two-sum; what `low` has gathered is carried over into `sum`, else it would drift itself). */
 inline void add_compensated(float *sum, float *low, float value)
 {
     const float total = *sum + value;
     const float part = total - *sum;
-    *low += (*sum - (total - part)) + (value - part);
-    *sum = total;
+    const float rest = *low + ((*sum - (total - part)) + (value - part));
+    *sum = total + rest;
+    *low = rest - (*sum - total);
 }
 
 #endif

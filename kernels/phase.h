@@ -6,21 +6,20 @@
 
 #define ONE_OVER_PI 0.318309886183790672f /* 1 / pi, sr^-1 of a Lambertian surface */
 
-/* Henyey and Greenstein 1941. g: asymmetry, -1 < g < 1. */
+/* Henyey and Greenstein 1941. g: asymmetry, -1 < g < 1. Written so that nothing cancels at
+ * the peak, where 1 + g^2 - 2 g cosine is the small (1 - |g|)^2. */
 inline float henyey_greenstein(float cosine, float g)
 {
-    const float base = fmax(1.0f + g * g - 2.0f * g * cosine, (1.0f - fabs(g)) * (1.0f - fabs(g)));
+    const float off_peak = 1.0f - (g < 0.0f ? -cosine : cosine);
+    const float base = (1.0f - fabs(g)) * (1.0f - fabs(g)) + 2.0f * fabs(g) * fmax(off_peak, 0.0f);
     return 0.25f * ONE_OVER_PI * (1.0f - g * g) / (base * sqrt(base));
 }
 
-/* The inverse of its distribution function, expanded so that nothing cancels as g -> 0. */
+/* The inverse of its distribution function, for g of either sign and 0. */
 inline float sample_henyey_greenstein(float u, float g)
 {
-    const float t = 2.0f * u - 1.0f;
-    const float s = 1.0f + g * t;
-    const float cosine = (t + 0.5f * g * (t * t + 3.0f) + g * g * t
-                          + 0.5f * g * g * g * (t * t - 1.0f)) / (s * s);
-    return clamp(cosine, -1.0f, 1.0f);
+    const float ratio = (1.0f - g) / (1.0f - g + 2.0f * g * u);
+    return clamp(1.0f - 2.0f * (1.0f - u) * (1.0f + g * u) * ratio * ratio, -1.0f, 1.0f);
 }
 
 /* Scalar Rayleigh: 3 / (16 pi) (1 + cos^2). */

@@ -12,7 +12,8 @@ inline int index_of(int3 voxel, int3 shape)
     return (voxel.x * shape.y + voxel.y) * shape.z + voxel.z;
 }
 
-/* A: mean of the 26 neighbours minus the centre; beyond the edge stands the nearest voxel. */
+/* A: mean of the 26 neighbours minus the centre; beyond the edge stands the nearest voxel.
+ * A is symmetric, the edges included: A^T A b is this kernel twice. */
 __kernel void laplacian(const __global float *extinction, const int3 shape, __global float *result)
 {
     const int index = get_global_id(0);
@@ -25,33 +26,6 @@ __kernel void laplacian(const __global float *extinction, const int3 shape, __gl
             for (int k = -1; k <= 1; ++k)
                 sum += extinction[index_of(clamp(voxel + (int3)(i, j, k), (int3)(0), shape - 1), shape)];
     result[index] = (sum - 27.0f * extinction[index]) / 26.0f;
-}
-
-/* How many of the offsets -1, 0, 1 lead from coordinate `from` to `to` under clamping. */
-inline int clamped_links(int from, int to, int count)
-{
-    int links = 0;
-    for (int offset = -1; offset <= 1; ++offset)
-        links += clamp(from + offset, 0, count - 1) == to;
-    return links;
-}
-
-/* A^T, the transpose of `laplacian`. */
-__kernel void laplacian_transpose(const __global float *values, const int3 shape, __global float *result)
-{
-    const int index = get_global_id(0);
-    if (index >= shape.x * shape.y * shape.z)
-        return;
-    const int3 voxel = voxel_of(index, shape);
-    const int3 low = max(voxel - 1, (int3)(0)), high = min(voxel + 1, shape - 1);
-    float sum = 0.0f;
-    for (int i = low.x; i <= high.x; ++i)
-        for (int j = low.y; j <= high.y; ++j)
-            for (int k = low.z; k <= high.z; ++k)
-                sum += (float)(clamped_links(i, voxel.x, shape.x) * clamped_links(j, voxel.y, shape.y)
-                               * clamped_links(k, voxel.z, shape.z))
-                       * values[index_of((int3)(i, j, k), shape)];
-    result[index] = (sum - 27.0f * values[index]) / 26.0f;
 }
 
 /* Dz: central differences along z in units of voxels, one-sided at the ends. */
