@@ -43,7 +43,9 @@ def _opencl_devices() -> list[Any]:
     try:
         platforms = cl.get_platforms()
     except cl.Error as error:
-        raise DeviceError(f"no OpenCL platform ({error}): install one, for instance pip install 'pyopencl[pocl]'") from None
+        raise DeviceError(
+            f"no OpenCL platform ({error}): install one, for instance pip install 'pyopencl[pocl]'"
+        ) from None
     devices = [device for platform in platforms for device in platform.get_devices()]
     if not devices:
         raise DeviceError("no OpenCL device: install a driver, for instance pip install 'pyopencl[pocl]'")
@@ -126,7 +128,9 @@ class Device:
             try:
                 self._programs[source] = cl.Program(self.context, f"{self._preamble}\n{source}").build(options)
             except cl.Error as error:
-                raise BuildError(f"device {self.name}: a kernel did not build\noptions: {' '.join(options)}\n{error}") from None
+                raise BuildError(
+                    f"device {self.name}: a kernel did not build\noptions: {' '.join(options)}\n{error}"
+                ) from None
         return self._programs[source]
 
     def kernel(self, file: str, name: str) -> Any:

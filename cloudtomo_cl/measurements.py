@@ -40,7 +40,8 @@ class Measurements:
                 wrong = ~np.isfinite(array)
                 if wrong.any():
                     row, column = np.argwhere(wrong)[0]
-                    raise DataError(f"measurements: {name} of view {index} are not finite at row {row}, column {column}")
+                    where = f"view {index} are not finite at row {row}, column {column}"
+                    raise DataError(f"measurements: {name} of {where}")
 
     def resampled(self, pixels: Sequence[tuple[int, int]]) -> Measurements:
         """The same images averaged over larger pixels, (width, height) for each view."""

@@ -36,13 +36,13 @@ class Optimizer:
     """
 
     type: Literal["adam", "sgd"] = "adam"
-    step: Positive = 0.1
+    step: Positive = 0.3
     variable: Literal["extinction", "square-root"] = "square-root"
     start: Positive = 2.0
     floor: NotNegative = 0.01
     decay1: Decay = 0.9
     decay2: Decay = 0.999
-    halving: Positive | None = 60.0
+    halving: Positive | None = 100.0
     averaging: Count = 10
     image_memory: Count = 20
 

@@ -45,7 +45,7 @@ class Rendering:
     seed: int
     iteration: int
     _extinction: Any = field(repr=False)
-    _launches: list[tuple[int, int, Any]] = field(repr=False, default_factory=list)
+    _launches: list[tuple[int, Any]] = field(repr=False, default_factory=list)
 
 
 class RadianceOperator:
@@ -140,10 +140,11 @@ class RadianceOperator:
             raise DataError(f"samples is {samples}: it must be even and at least 2 (halves are compared)")
         queue, count = self.device.queue, len(self.pixels)
         beta = self._device_extinction(extinction)
-        sums = self._cl.Buffer(self.device.context, self._cl.mem_flags.READ_WRITE, count * STRUCTS["PixelSums"].itemsize)
+        size = count * STRUCTS["PixelSums"].itemsize
+        sums = self._cl.Buffer(self.device.context, self._cl.mem_flags.READ_WRITE, size)
         self._cl.enqueue_fill_buffer(queue, sums, np.uint8(0), 0, sums.size)
         self._lost.fill(0)
-        launches: list[tuple[int, int, Any]] = []
+        launches: list[tuple[int, Any]] = []
         first = 0
         while first < samples:
             number = int(np.clip(self._launch_paths // count, 1, samples - first))
@@ -159,7 +160,7 @@ class RadianceOperator:
                 self._sum_paths, count, paths.data, np.uint32(count), np.uint32(first), np.uint32(number), sums
             )
             if keep_paths:
-                launches.append((first, number, paths))
+                launches.append((first, paths))
             first += number
             if progress:
                 progress(first)
@@ -190,7 +191,7 @@ class RadianceOperator:
         )
 
     def _rendering(
-        self, sums: Any, samples: int, seed: int, iteration: int, beta: Any, launches: list[tuple[int, int, Any]]
+        self, sums: Any, samples: int, seed: int, iteration: int, beta: Any, launches: list[tuple[int, Any]]
     ) -> Rendering:
         host = np.empty(len(self.pixels), STRUCTS["PixelSums"])
         self._cl.enqueue_copy(self.device.queue, host, sums)
@@ -202,11 +203,14 @@ class RadianceOperator:
         wrong = ~np.isfinite(standard_error)
         if wrong.any():
             view, pixel = self.pixels[np.argmax(wrong)]
-            raise TransportError(f"radiance is not finite in view {view}, pixel {pixel} (seed {seed}, iteration {iteration})")
+            raise TransportError(
+                f"radiance is not finite in view {view}, pixel {pixel} (seed {seed}, iteration {iteration})"
+            )
         lost = int(self._lost.get()[0])
         if lost > _LOST_SHARE_LIMIT * samples * len(self.pixels):
             raise TransportError(
-                f"{lost} paths were lost in horizontal flight: with periodic sides, tilt views that look along the horizon"
+                f"{lost} paths were lost in horizontal flight: with periodic sides, "
+                "tilt the views that look along the horizon"
             )
         return Rendering(mean, standard_error, halves, samples, seed, iteration, beta, launches)
 
@@ -240,7 +244,7 @@ class RadianceOperator:
             raise DataError("adjoint is not finite")
         if largest > 0:
             factors = self._constant((adjoint * (_FIXED_POINT_SCALE / largest)).astype(np.float32))
-            for first, number, paths in rendering._launches:
+            for first, paths in rendering._launches:
                 arguments = self._arguments(
                     rendering._extinction, first, paths.size, rendering.seed, rendering.iteration
                 )

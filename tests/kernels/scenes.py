@@ -62,4 +62,5 @@ def radiances(paths):
 
 def kernel_paths(rendering):
     """Radiance of every path of a rendering that kept them, shape (samples, pixels)."""
-    return np.concatenate([paths.get().reshape(number, -1) for _, number, paths in rendering._launches]).astype(float)
+    paths = np.concatenate([paths.get() for _, paths in rendering._launches])
+    return paths.reshape(rendering.samples, -1).astype(float)
