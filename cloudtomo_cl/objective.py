@@ -29,9 +29,9 @@ def cost_of_independent(
     its variance. Returns F and its standard error. All arrays have shape (pixels,).
     """
     product = first * second
-    signal = np.maximum(product, 0.0)
-    variance = signal * (first_variance + second_variance) + first_variance * second_variance
-    return 0.5 * float(np.sum(weights * product)), 0.5 * float(np.sqrt(np.sum(weights**2 * variance)))
+    # Var(product) = (i - m)^2 (v1 + v2) + v1 v2. No pixel is rectified: the sum is to be unbiased.
+    variance = np.sum(weights**2 * (product * (first_variance + second_variance) + first_variance * second_variance))
+    return 0.5 * float(np.sum(weights * product)), 0.5 * float(np.sqrt(max(variance, 0.0)))
 
 
 class LaggedResidual:
@@ -59,7 +59,6 @@ class LaggedResidual:
     def cost(self, halves: np.ndarray) -> tuple[float, float]:
         """F and its standard error, from halves of shape (pixels, 2)."""
         residuals = halves - self.measured[:, None]
-        # One pixel's halves tell its variance badly; no bias matters here, only the size.
         half_variance = (halves[:, 0] - halves[:, 1]) ** 2 / 2
         if self.memory == 1 or self._iterations == 0:
             first, second = residuals.T

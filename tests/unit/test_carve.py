@@ -1,10 +1,12 @@
 """Carving on images drawn by hand: what is removed, and above all what is not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cloudtomo_cl import carving
-from cloudtomo_cl.carving import carve, cloudy_pixels, coarsened, pixels_that_meet
+from cloudtomo_cl.carving import carve, cloudy_pixels, coarsened, pixels_that_meet, pixels_that_see
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.measurements import Measurements
@@ -154,3 +156,31 @@ def test_clear_images_of_other_views_are_named():
 def test_negative_thresholds_are_named():
     with pytest.raises(DataError, match="contrast is -1"):
         carve(GRID, *images([FROM_ABOVE]), contrast=-1.0)
+
+
+VIEWS = [
+    PerspectiveView(position=(2.0, -1.0, 1.5), target=(0.4, 0.4, 0.2), field_of_view=25, pixels=(30, 24)),
+    OrthographicView(width=1.2, pixels=(30, 30), zenith=50, azimuth=30, target=(0.4, 0.4, 0.2)),
+]
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.type)
+def test_pixels_that_see_a_mask_are_those_whose_rays_cross_it(view):
+    """Against rays through a fine raster of the image."""
+    mask = np.zeros(GRID.shape, dtype=bool)
+    mask[2, 1, 3] = True
+    voxel = Grid(shape=(1, 1, 1), spacing=GRID.spacing, origin=(0.2, 0.1, 0.3))
+    fine = replace(view, pixels=tuple(10 * count for count in view.pixels))
+    width, height = view.pixels
+    crossed = pixels_that_meet(fine, voxel).reshape(height, 10, width, 10).any(axis=(1, 3))
+    seen = pixels_that_see(view, GRID, mask)
+    assert not (crossed & ~seen).any()
+    assert crossed.any() and seen.sum() <= 2 * crossed.sum() + 4
+
+
+def test_a_sensor_inside_the_mask_sees_all_that_the_domain_shows():
+    view = PerspectiveView(
+        position=(0.25, 0.15, 0.35), target=(0.25, 0.15, 0.0), up=(0, 1, 0), field_of_view=60, pixels=(8, 8)
+    )
+    mask = np.ones(GRID.shape, dtype=bool)
+    assert pixels_that_see(view, GRID, mask).all()

@@ -1,0 +1,91 @@
+"""The whole chain on a small generated cloud, from images made with other random numbers."""
+
+import numpy as np
+import pytest
+
+import cloudtomo_cl as ct
+from cloudtomo_cl.errors import DataError
+
+STAGES = (
+    ct.Stage(grid=(4, 4, 4), pixels=0.5, samples=64, iterations=20, window=10),
+    ct.Stage(grid=(8, 8, 8), samples=64, iterations=20, window=10),
+)
+
+
+@pytest.fixture(scope="module")
+def problem(device):
+    grid = ct.Grid(shape=(8, 8, 8), spacing=(0.1, 0.1, 0.1))
+    extinction = ct.cumulus(grid, seed=3, peak=40.0)
+    scene = ct.Scene(grid=grid, sun=ct.Sun(zenith=30.0))
+    views = tuple(
+        ct.OrthographicView(zenith=zenith, azimuth=azimuth, width=1.4, pixels=(16, 16))
+        for zenith, azimuth in [(0, 0), (45, 0), (45, 120), (45, 240)]
+    )
+    operator = ct.RadianceOperator(scene, views, device)
+    rendering = operator.render(extinction, 2048, seed=1)
+    images, errors = (tuple(operator.images(v)) for v in (rendering.mean, rendering.standard_error))
+    return scene, ct.Measurements(views, images, errors), extinction
+
+
+def recover(problem, device, **options):
+    scene, measurements, truth = problem
+    return ct.reconstruct(
+        scene, measurements, **{"stages": STAGES, "mask": truth > 0, "device": device, "truth": truth, **options}
+    )
+
+
+def test_error_and_cost_fall(problem, device):
+    scene, measurements, truth = problem
+    result = recover(problem, device, seed=2)
+    start = np.where(truth > 0, 2.0, 0.0)
+    assert ct.epsilon(result.extinction, truth) < 0.7 * ct.epsilon(start, truth)
+    last = [record for record in result.history if record.stage == 1]
+    assert last[-1].cost < 0.7 * last[0].cost
+
+
+def test_the_same_seed_gives_the_same_bits(problem, device):
+    if not device.fixed_point:
+        pytest.skip("this device sums floats in any order: it has no 64-bit integer atomics")
+    first, second = (recover(problem, device, seed=4, stages=STAGES[:1]) for _ in range(2))
+    np.testing.assert_array_equal(first.extinction, second.extinction)
+
+
+def test_another_seed_gives_another_result(problem, device):
+    first, second = (recover(problem, device, seed=seed, stages=STAGES[:1]) for seed in (4, 5))
+    assert not np.array_equal(first.extinction, second.extinction)
+
+
+def test_the_truth_does_not_help(problem, device):
+    if not device.fixed_point:
+        pytest.skip("this device sums floats in any order: it has no 64-bit integer atomics")
+    with_truth, without = (recover(problem, device, stages=STAGES[:1], truth=t) for t in (problem[2], None))
+    np.testing.assert_array_equal(with_truth.extinction, without.extinction)
+    assert without.history[0].epsilon is None
+
+
+def test_a_time_limit_ends_the_run_with_a_result(problem, device):
+    result = recover(problem, device, time_limit=1e-6)
+    assert len(result.history) == 1 and np.isfinite(result.extinction).all()
+
+
+def test_an_empty_mask_is_refused(problem, device):
+    with pytest.raises(DataError, match="mask is empty"):
+        recover(problem, device, mask=np.zeros((8, 8, 8), bool))
+
+
+def test_a_mask_of_another_shape_is_refused(problem, device):
+    with pytest.raises(DataError, match="mask has shape"):
+        recover(problem, device, mask=np.ones((4, 4, 4), bool))
+
+
+def test_plain_gradient_descent_lowers_the_cost(problem, device):
+    """The source's own descent: SGD in the extinction, residuals from crossed halves."""
+    stages = (ct.Stage(grid=(4, 4, 4), pixels=0.5, samples=1024, iterations=20),)
+    optimizer = ct.Optimizer(
+        type="sgd", step=20.0, variable="extinction", image_memory=1, averaging=1, start=2.0, halving=None
+    )
+    history = recover(problem, device, optimizer=optimizer, stages=stages).history
+    last = [record.cost for record in history[-5:]]
+    error = np.sqrt(sum(record.cost_standard_error**2 for record in history[-5:])) / 5
+    # 4 standard errors: a significance of 3e-5.
+    assert history[0].cost - np.mean(last) > 4 * np.hypot(history[0].cost_standard_error, error)

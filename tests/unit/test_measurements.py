@@ -1,0 +1,43 @@
+"""Measured images over larger pixels."""
+
+import numpy as np
+import pytest
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.sensors import OrthographicView
+
+
+def measurements(random, width=12, height=8):
+    view = OrthographicView(zenith=0, width=1.0, pixels=(width, height))
+    return Measurements((view,), (random.random((height, width)),), (np.full((height, width), 0.3),))
+
+
+def test_larger_pixels_hold_means(random):
+    fine = measurements(random)
+    coarse = fine.resampled([(6, 4)])
+    expected = fine.images[0].reshape(4, 2, 6, 2).mean(axis=(1, 3))
+    np.testing.assert_allclose(coarse.images[0], expected)
+    assert coarse.views[0].pixels == (6, 4)
+
+
+def test_errors_of_larger_pixels_are_those_of_means(random):
+    np.testing.assert_allclose(measurements(random).resampled([(6, 4)]).standard_errors[0], 0.3 / 2)
+
+
+def test_shares_keep_at_least_eight_pixels(random):
+    assert measurements(random, 40, 20).at_share(0.25).views[0].pixels == (10, 8)
+
+
+def test_images_of_another_size_than_their_view_are_refused(random):
+    view = OrthographicView(zenith=0, width=1.0, pixels=(4, 5))
+    with pytest.raises(DataError, match="5 rows and 4 columns"):
+        Measurements((view,), (np.ones((4, 5)),), (np.ones((5, 4)),))
+
+
+def test_a_pixel_that_is_not_finite_is_named(random):
+    view = OrthographicView(zenith=0, width=1.0, pixels=(4, 5))
+    image = np.ones((5, 4))
+    image[3, 2] = np.nan
+    with pytest.raises(DataError, match="row 3, column 2"):
+        Measurements((view,), (image,), (np.ones((5, 4)),))

@@ -1,0 +1,41 @@
+"""Schedules, and when a stage ends."""
+
+import numpy as np
+import pytest
+
+from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.stages import automatic_stages, has_settled
+
+
+@pytest.mark.parametrize("shape", [(38, 38, 38), (86, 86, 27), (6, 6, 6), (3, 2, 1), (300, 2, 50)])
+def test_the_last_stage_has_the_full_grid_and_images(shape):
+    last = automatic_stages(Grid(shape=shape, spacing=(1, 1, 1)))[-1]
+    assert last.grid == shape and last.pixels == 1
+
+
+def test_stages_grow():
+    grids = [stage.grid for stage in automatic_stages(Grid(shape=(86, 86, 27), spacing=(1, 1, 1)))]
+    assert len(grids) > 3 and all(a < b and c <= d for (a, _, c), (b, _, d) in zip(grids, grids[1:]))
+
+
+def test_a_falling_cost_has_not_settled():
+    assert not has_settled(np.linspace(10, 5, 40), np.full(40, 0.1), window=20)
+
+
+def test_a_constant_cost_has_settled(random):
+    assert has_settled(5 + 0.1 * random.normal(size=40), np.full(40, 0.1), window=20)
+
+
+def test_a_fall_within_the_noise_has_settled():
+    assert has_settled(np.linspace(10, 9.9, 40), np.full(40, 5.0), window=20)
+
+
+def test_slow_progress_shows_over_longer_windows():
+    # Over 20 iterations the fall is within the noise, over 100 it is not.
+    costs = np.linspace(10, 7, 300)
+    assert has_settled(costs[-40:], np.full(40, 1.0), window=20)
+    assert not has_settled(costs, np.full(300, 1.0), window=20)
+
+
+def test_two_windows_are_needed():
+    assert not has_settled(np.full(39, 5.0), np.full(39, 0.1), window=20)
