@@ -184,6 +184,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except CloudtomoError as error:
         print(f"cloudtomo {command}: {error}", file=sys.stderr)
         return EXIT_ERROR
+    except MemoryError as error:
+        print(f"cloudtomo {command}: not enough memory ({error}): choose fewer pixels or voxels", file=sys.stderr)
+        return EXIT_ERROR
     except KeyboardInterrupt:
         print(f"cloudtomo {command}: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED

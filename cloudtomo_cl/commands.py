@@ -137,6 +137,8 @@ def render(
     from cloudtomo_cl.io import read_extinction, write_measurements
 
     _check_new(output, overwrite)
+    if png is not None and (png.is_file() or any(parent.is_file() for parent in png.parents)):
+        raise DataError(f"{png}: is a file, or lies beneath one: choose another folder for --png")
     if png is not None and not overwrite and any(png.glob("view_*.png")):
         raise DataError(f"{png}: holds previews already: choose another folder, or add --overwrite")
     settings = read_render_settings(scene)
@@ -185,7 +187,10 @@ def reconstruct(
     settings: ReconstructSettings = read_reconstruct_settings(run)
     measurements, stored = _read_measurements(settings.measurements.file)
     if settings.view is not None:
-        measurements = Measurements(settings.view, measurements.images, measurements.standard_errors)
+        try:
+            measurements = Measurements(settings.view, measurements.images, measurements.standard_errors)
+        except DataError as error:
+            raise SettingsError(f"{run}: view: the views do not fit {settings.measurements.file}: {error}") from None
     scene = settings.scene(stored.get("scene", {}))
     truth = None if settings.truth is None else _read_truth(settings.truth.file, scene.grid)
     chosen = choose_device(device)

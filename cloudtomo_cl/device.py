@@ -128,8 +128,10 @@ class Device:
             try:
                 self._programs[source] = cl.Program(self.context, f"{self._preamble}\n{source}").build(options)
             except cl.Error as error:
+                space = " " in options[2]
+                hint = "\na space in the folder's name may be the cause: install elsewhere" if space else ""
                 raise BuildError(
-                    f"device {self.name}: a kernel did not build\noptions: {' '.join(options)}\n{error}"
+                    f"device {self.name}: a kernel did not build\noptions: {' '.join(options)}\n{error}{hint}"
                 ) from None
         return self._programs[source]
 
@@ -142,8 +144,12 @@ class Device:
 
     def launch(self, kernel: Any, work_items: int, *arguments: Any) -> None:
         """Runs a kernel on at least `work_items` work items (kernels skip the rest)."""
+        cl = _import_pyopencl()
         groups = -(-work_items // WORK_GROUP_SIZE)
-        kernel(self.queue, (groups * WORK_GROUP_SIZE,), (WORK_GROUP_SIZE,), *arguments)
+        try:
+            kernel(self.queue, (groups * WORK_GROUP_SIZE,), (WORK_GROUP_SIZE,), *arguments)
+        except cl.Error as error:
+            raise DeviceError(f"device {self.name}: {kernel.function_name} did not start ({error})") from None
 
 
 def choose_device(name: str | int | None = None) -> Device:
@@ -160,7 +166,7 @@ def choose_device(name: str | int | None = None) -> Device:
     """
     devices = _opencl_devices()
     wanted = str(name) if name is not None else os.environ.get(ENVIRONMENT_VARIABLE, "0")
-    if wanted.isdigit():
+    if wanted.isascii() and wanted.isdigit():
         if int(wanted) < len(devices):
             return Device(devices[int(wanted)])
     else:

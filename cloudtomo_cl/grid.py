@@ -9,10 +9,10 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-Triple = tuple[float, float, float]
 Count = Annotated[int, Field(ge=1)]
 Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Coordinate = Annotated[float, Field(allow_inf_nan=False)]
+Triple = tuple[Coordinate, Coordinate, Coordinate]
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))

@@ -22,6 +22,8 @@ from cloudtomo_cl.stages import Stage, automatic_stages, has_settled
 from cloudtomo_cl.transport import RadianceOperator
 
 _PATHS_PER_ITERATION = 200_000
+# Beyond any cloud: the optical depth across a voxel at which a descent has diverged.
+_LARGEST_VOXEL_DEPTH = 1000.0
 
 
 @dataclass(frozen=True)
@@ -175,12 +177,14 @@ class _Run:
         costs: list[float] = []
         errors: list[float] = []
         for iteration in range(stage.iterations):
-            key = len(self.history)  # never the same random numbers twice in a run
+            # Never the same random numbers twice in a run, nor those of a render, which has key 0.
+            key = len(self.history) + 1
             rendering = operator.render(descent.extinction, samples, self.seed, key, keep_paths=True)
             cost, error = residual.cost(rendering.halves)
             gradient = operator.gradient(rendering, residual.adjoint(rendering.halves))
             prior_value, prior_gradient = prior_operator.value_and_gradient(descent.extinction, stage.prior_weight)
             descent.step(gradient + prior_gradient)
+            self._check_step(index, iteration, descent, scene.grid)
             self.photons += samples * len(seen.pixels)
             costs.append(cost + prior_value)
             errors.append(error)
@@ -189,6 +193,15 @@ class _Run:
                 break
         self.stage_ends.append(self.seconds)
         return descent.estimate()
+
+    def _check_step(self, index: int, iteration: int, descent: Descent, grid: Grid) -> None:
+        """Stops a descent that runs away, before a render of it takes for ever."""
+        depth = descent.largest() * max(grid.spacing)
+        if not depth < _LARGEST_VOXEL_DEPTH:
+            raise TransportError(
+                f"the extinction diverged in stage {index}, iteration {iteration}: a voxel has the optical depth "
+                f"{depth:.3g}; choose a smaller step of the optimizer"
+            )
 
     def _record(
         self, index: int, iteration: int, cost: float, error: float, prior_value: float, descent: Descent

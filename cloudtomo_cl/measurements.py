@@ -9,7 +9,7 @@ import numpy as np
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import resample
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, image_aspect
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,15 @@ class Measurements:
                     row, column = np.argwhere(wrong)[0]
                     where = f"view {index} are not finite at row {row}, column {column}"
                     raise DataError(f"measurements: {name} of {where}")
+        for index, error in enumerate(self.standard_errors):
+            if (error < 0).any():
+                raise DataError(f"measurements: standard_errors of view {index} are negative: they must be at least 0")
 
     def resampled(self, pixels: Sequence[tuple[int, int]]) -> Measurements:
         """The same images averaged over larger pixels, (width, height) for each view."""
         views, images, errors = [], [], []
         for view, image, error, (width, height) in zip(self.views, self.images, self.standard_errors, pixels):
-            views.append(replace(view, pixels=(width, height)))
+            views.append(replace(view, pixels=(width, height), aspect=image_aspect(view)))
             images.append(resample(image, (height, width)))
             # Independent pixels: variances add with the squares of their shares.
             share = width * height / image.size

@@ -11,9 +11,10 @@ def relative_weights(measured: np.ndarray) -> np.ndarray:
     Bright pixels do not rule alone, and dark ones, in which the noise of the modelled image is
     large relative to them, do not rule either.
 
-    measured : radiances, any unit, shape (pixels,); m_rms is their root mean square
+    measured : radiances, any unit, shape (pixels,); m_rms is their root mean square. Noise may
+        make some of them negative: they weigh like zero
     """
-    return 1.0 / (measured + np.sqrt(np.mean(measured**2))) ** 2
+    return 1.0 / (np.maximum(measured, 0.0) + np.sqrt(np.mean(measured**2))) ** 2
 
 
 def cost_of_independent(

@@ -77,6 +77,10 @@ class Descent:
         """The running mean of the extinction, km^-1."""
         return self._mean.get()
 
+    def largest(self) -> float:
+        """The largest extinction, km^-1; nan if any is."""
+        return float(self.extinction.get().max())
+
     def step(self, gradient: Any) -> None:
         """One step against a gradient on the device, cost per km^-1."""
         optimizer = self.optimizer

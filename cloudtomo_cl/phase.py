@@ -10,9 +10,11 @@ from pydantic.dataclasses import dataclass
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class HenyeyGreenstein:
-    """Henyey and Greenstein 1941; g is the asymmetry, positive for forward scattering."""
+    """Henyey and Greenstein 1941; g is the asymmetry, positive for forward scattering.
 
-    g: Annotated[float, Field(gt=-1, lt=1)]
+    Beyond 0.99 the peak is too sharp for the kernels' single precision."""
+
+    g: Annotated[float, Field(ge=-0.99, le=0.99)]
     type: Literal["henyey-greenstein"] = "henyey-greenstein"
 
 

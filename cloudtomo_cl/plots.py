@@ -99,12 +99,15 @@ def plot_history(axes: Axes, history: Mapping[str, np.ndarray]) -> None:
     """
     seconds, cost, noise = (history[name] for name in ("seconds", "cost", "cost_standard_error"))
     axes.set_xscale("log")
-    # The unbiased cost may fall below zero by its noise: logarithmic beyond the noise, linear within.
-    scales = noise[noise > 0] if (noise > 0).any() else cost[cost > 0]
-    if scales.size:
-        axes.set_yscale("symlog", linthresh=float(np.median(scales)))
-    axes.fill_between(seconds, cost - noise, cost + noise, color="tab:blue", alpha=0.2, linewidth=0)
+    # The unbiased cost may fall below zero by its noise: then linear within the noise.
+    if (cost > 0).all():
+        axes.set_yscale("log")
+    elif (noise > 0).any():
+        axes.set_yscale("symlog", linthresh=float(np.median(noise[noise > 0])))
     lines = axes.plot(seconds, cost, color="tab:blue", linewidth=1, label="cost ± its standard error")
+    limits = axes.get_ylim()
+    axes.fill_between(seconds, cost - noise, cost + noise, color="tab:blue", alpha=0.2, linewidth=0)
+    axes.set_ylim(limits)  # of the costs, however large the first and noisiest ones' errors
     axes.set_xlabel("time (s)")
     axes.set_ylabel("cost")
     for end in seconds[:-1][np.diff(history["stage"]) != 0]:

@@ -74,7 +74,7 @@ class Air:
     single_scattering_albedo : 0 to 1
     """
 
-    extinction: NotNegative | tuple[NotNegative, ...]
+    extinction: NotNegative | Annotated[tuple[NotNegative, ...], Field(min_length=1)]
     single_scattering_albedo: Fraction = 1.0
 
     def profile(self, grid: Grid) -> np.ndarray:

@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.grid import Count, Grid, Length, Triple
-from cloudtomo_cl.scene import direction
+from cloudtomo_cl.scene import Angle, direction
 
 Pixels = tuple[Count, Count]
 
@@ -43,6 +43,11 @@ def line_of_sight(position: Triple, target: Triple) -> np.ndarray:
     return sight / norm
 
 
+def image_aspect(view: PerspectiveView | OrthographicView) -> float:
+    """Height of a view's image over its width."""
+    return view.pixels[1] / view.pixels[0] if view.aspect is None else view.aspect
+
+
 def solve_affine(axes: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Coefficients of offsets (..., 3) with respect to three axes, the rows of a (3, 3) array."""
     inverse = np.linalg.inv(axes)
@@ -59,7 +64,8 @@ class PerspectiveView:
     position, target : km; the camera stands at position and looks at target
     up : a direction that is up in the image
     field_of_view : degrees, across the image's width
-    pixels : (width, height); pixels are square
+    pixels : (width, height)
+    aspect : height of the image over its width; by default pixels are square
     """
 
     position: Triple
@@ -67,6 +73,7 @@ class PerspectiveView:
     field_of_view: Annotated[float, Field(gt=0, lt=180)]
     pixels: Pixels
     up: Triple = (0.0, 0.0, 1.0)
+    aspect: Length | None = None
     type: Literal["perspective"] = "perspective"
 
     @model_validator(mode="after")
@@ -84,7 +91,7 @@ class PerspectiveView:
         sight = line_of_sight(self.position, self.target)
         right, up = image_axes(sight, self.up)
         width = 2 * np.tan(np.radians(self.field_of_view) / 2)
-        height = width * self.pixels[1] / self.pixels[0]
+        height = width * image_aspect(self)
         corner = sight - width / 2 * right + height / 2 * up
         origin = np.array([self.position, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
         return origin, np.array([corner, width * right, -height * up])
@@ -120,10 +127,11 @@ class OrthographicView:
     Attributes
     ----------
     width : of the image in km, measured across the rays
-    pixels : (width, height); pixels are square
+    pixels : (width, height)
     position, target : km
     zenith, azimuth : degrees; zenith below 90 (use position and target to look up)
     up : a direction that is up in the image; for a line of sight along z the default is north
+    aspect : height of the image over its width; by default pixels are square
     """
 
     width: Length
@@ -131,8 +139,9 @@ class OrthographicView:
     position: Triple | None = None
     target: Triple | None = None
     zenith: Annotated[float, Field(ge=0, lt=90)] | None = None
-    azimuth: float = 0.0
+    azimuth: Angle = 0.0
     up: Triple | None = None
+    aspect: Length | None = None
     type: Literal["orthographic"] = "orthographic"
 
     @model_validator(mode="after")
@@ -142,33 +151,39 @@ class OrthographicView:
         if self.position is not None:
             if self.target is None:
                 raise ValueError("position needs a target")
-            if self.position[2] < 0:
-                raise ValueError("position lies below the ground, z = 0: raise it")
-            image_axes(line_of_sight(self.position, self.target), self._up)
+        right, up = self._axes()
+        if self.position is not None:
+            lowest = self.position[2] - self.width / 2 * (abs(right[2]) + image_aspect(self) * abs(up[2]))
+            if lowest < -1e-9:
+                raise ValueError(f"the image's edge lies {-lowest:.3g} km below the ground, z = 0: raise position")
         return self
 
-    @property
-    def _up(self) -> Triple:
-        if self.up is not None:
-            return self.up
-        vertical = self.zenith == 0 if self.position is None else self.position[:2] == self.target[:2]  # type: ignore[index]
-        return (0.0, 1.0, 0.0) if vertical else (0.0, 0.0, 1.0)
+    def _sight(self) -> np.ndarray:
+        if self.position is not None and self.target is not None:
+            return line_of_sight(self.position, self.target)
+        assert self.zenith is not None
+        return -direction(self.zenith, self.azimuth)
+
+    def _axes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Unit vectors to the right and up in the image."""
+        sight = self._sight()
+        vertical = np.hypot(sight[0], sight[1]) < 1e-6
+        return image_axes(sight, self.up or ((0.0, 1.0, 0.0) if vertical else (0.0, 0.0, 1.0)))
 
     def rays(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
         """Ray origins (km) and directions as affine functions of (u, v); see PerspectiveView."""
-        height = self.width * self.pixels[1] / self.pixels[0]
-        if self.position is not None and self.target is not None:
-            sight = line_of_sight(self.position, self.target)
+        height = self.width * image_aspect(self)
+        sight = self._sight()
+        if self.position is not None:
             centre = np.asarray(self.position)
         else:
             assert self.zenith is not None
-            sight = -direction(self.zenith, self.azimuth)
             target = np.asarray(grid.centre if self.target is None else self.target)
             # Far enough up that the whole image plane lies above the domain.
             top = grid.origin[2] + grid.extent[2]
             rise = top - target[2] + (self.width + height) * np.sin(np.radians(self.zenith))
             centre = target - sight * max(rise, 0.0) / np.cos(np.radians(self.zenith))
-        right, up = image_axes(sight, self._up)
+        right, up = self._axes()
         corner = centre - self.width / 2 * right + height / 2 * up
         return np.array([corner, self.width * right, -height * up]), np.array([sight, np.zeros(3), np.zeros(3)])
 

@@ -15,8 +15,9 @@ from cloudtomo_cl.scene import NotNegative
 # Voxels along the longest axis of the first stage, and how fast they grow.
 _COARSEST = 6
 _GROWTH = 1.8
-# Two windows' mean costs differ if they do by more standard errors than this: the chance of
-# taking noise for progress is 2.5 %.
+# Two windows' mean costs differ if they do by more standard errors than this. With a memory of
+# images the costs of a window are correlated, so that noise passes for progress more often than
+# the 2.5 % of independent ones: a stage then ends later.
 _SIGNIFICANCE = 2.0
 
 

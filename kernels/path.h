@@ -19,7 +19,7 @@
 
 /* A voxel's faces that one flight may cross before the path is given up as lost: only an
  * exactly horizontal ray in a periodic, empty layer gets there. */
-#define CROSSINGS_LIMIT (1 << 22)
+#define CROSSINGS_LIMIT (1 << 18)
 /* Paths lighter than this are continued with probability weight / PATH_ROULETTE_WEIGHT. */
 #define PATH_ROULETTE_WEIGHT 0.1f
 /* Side flights aimed at the sun: expected number per unit of weight x phase function (sr),

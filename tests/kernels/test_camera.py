@@ -17,7 +17,7 @@ VIEWS = {
     "perspective, nadir": PerspectiveView((1.2, -1.8, 2.0), (1.2, -1.8, 0.0), 85.4, (5, 5), up=(0, 1, 0)),
     "orthographic, nadir": OrthographicView(width=0.5, pixels=(5, 3), zenith=0),
     "orthographic, oblique": OrthographicView(width=0.8, pixels=(3, 4), zenith=60, azimuth=110),
-    "orthographic, from a place": OrthographicView(0.5, (4, 4), position=(0, -2, 0.1), target=(1.2, -1.8, 0.4)),
+    "orthographic, from a place": OrthographicView(0.5, (4, 4), position=(0, -2, 0.4), target=(1.2, -1.8, 0.7)),
 }
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.errors import DataError, TransportError
 
 STAGES = (
     ct.Stage(grid=(4, 4, 4), pixels=0.5, samples=64, iterations=20, window=10),
@@ -76,6 +76,12 @@ def test_an_empty_mask_is_refused(problem, device):
 def test_a_mask_of_another_shape_is_refused(problem, device):
     with pytest.raises(DataError, match="mask has shape"):
         recover(problem, device, mask=np.ones((4, 4, 4), bool))
+
+
+def test_a_descent_that_runs_away_is_stopped(problem, device):
+    optimizer = ct.Optimizer(type="sgd", step=1e9, variable="extinction")
+    with pytest.raises(TransportError, match="diverged in stage 0.*smaller step"):
+        recover(problem, device, optimizer=optimizer)
 
 
 def test_plain_gradient_descent_lowers_the_cost(problem, device):

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.measurements import Measurements
-from cloudtomo_cl.sensors import OrthographicView
+from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
 
 
 def measurements(random, width=12, height=8):
@@ -23,6 +24,21 @@ def test_larger_pixels_hold_means(random):
 
 def test_errors_of_larger_pixels_are_those_of_means(random):
     np.testing.assert_allclose(measurements(random).resampled([(6, 4)]).standard_errors[0], 0.3 / 2)
+
+
+@pytest.mark.parametrize("share", [0.25, 0.37, 0.6])
+def test_larger_pixels_cover_the_same_field(random, share):
+    """Also where width and height round to another proportion."""
+    grid = Grid(shape=(1, 1, 1), spacing=(1.0, 1.0, 1.0))
+    view = PerspectiveView(position=(0, 0, 3), target=(1, 1, 0), field_of_view=40, pixels=(48, 12))
+    fine = Measurements((view,), (np.ones((12, 48)),), (np.ones((12, 48)),))
+    np.testing.assert_allclose(fine.at_share(share).views[0].rays(grid), view.rays(grid))
+
+
+def test_negative_standard_errors_are_refused(random):
+    view = OrthographicView(zenith=0, width=1.0, pixels=(4, 4))
+    with pytest.raises(DataError, match="negative"):
+        Measurements((view,), (np.ones((4, 4)),), (np.full((4, 4), -1.0),))
 
 
 def test_shares_keep_at_least_eight_pixels(random):
