@@ -17,8 +17,9 @@ from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
 
 Estimator = Literal["side-flights", "plain"]
 
-# One unit of the fixed-point gradient, relative to the largest adjoint, in sr^-1 km per path:
-# far below any deposit that matters, and 2^31 such paths' worth of the largest cannot overflow.
+# Units of the fixed-point gradient per sr^-1 km deposited under the largest adjoint: rounding is
+# far below the deposits that matter (about 1e-6), and a voxel's sum of them over all paths of a
+# gradient may reach 2^31 before it overflows.
 _FIXED_POINT_SCALE = 2.0**32
 _LOST_SHARE_LIMIT = 1e-4
 _FIRST_LAUNCH_PATHS = 1 << 18

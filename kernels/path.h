@@ -17,8 +17,8 @@
 #include "camera.h"
 #include "accumulate.h"
 
-/* A voxel's faces that one flight may cross before the path is given up as lost: only an
- * exactly horizontal ray in a periodic, empty layer gets there. */
+/* A voxel's faces that one flight may cross before the path is given up as lost: only a ray
+ * that is horizontal, or all but, in a periodic and empty layer gets there. */
 #define CROSSINGS_LIMIT (1 << 18)
 /* Paths lighter than this are continued with probability weight / PATH_ROULETTE_WEIGHT. */
 #define PATH_ROULETTE_WEIGHT 0.1f
