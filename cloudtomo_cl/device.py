@@ -12,7 +12,8 @@ from cloudtomo_cl.errors import BuildError, DeviceError
 
 ENVIRONMENT_VARIABLE = "CLOUDTOMO_DEVICE"
 WORK_GROUP_SIZE = 64
-_FIXED_POINT_EXTENSION = "cl_khr_int64_base_atomics"
+_WIDE_ATOMICS_EXTENSION = "cl_khr_int64_base_atomics"
+_WIDE_ATOMICS, _NARROW_ATOMICS = "64-bit atomics", "32-bit atomics with carry"
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ def _opencl_devices() -> list[Any]:
 
 
 def _accumulation(device: Any) -> str:
-    return "64-bit fixed point" if _FIXED_POINT_EXTENSION in device.extensions.split() else "float compare-and-swap"
+    return _WIDE_ATOMICS if _WIDE_ATOMICS_EXTENSION in device.extensions.split() else _NARROW_ATOMICS
 
 
 def _kind(device: Any) -> str:
@@ -96,15 +97,10 @@ class Device:
         self.name = opencl_device.name.strip()
         self.accumulation = _accumulation(opencl_device)
         self._programs: dict[str, Any] = {}
-        self._kernels: dict[tuple[str, str], Any] = {}
+        self._kernels: dict[tuple[str, str, tuple[str, ...]], Any] = {}
 
     def __repr__(self) -> str:
         return f"Device({self.name!r})"
-
-    @property
-    def fixed_point(self) -> bool:
-        """Whether gradients are summed as 64-bit integers."""
-        return self.accumulation == "64-bit fixed point"
 
     @cached_property
     def _preamble(self) -> str:
@@ -123,8 +119,8 @@ class Device:
         if source not in self._programs:
             cl = _import_pyopencl()
             options = ["-cl-std=CL1.2", "-I", str(resources.files("cloudtomo_cl.kernels"))]
-            if self.fixed_point:
-                options += ["-D", "CLOUDTOMO_FIXED_POINT"]
+            if self.accumulation == _WIDE_ATOMICS:
+                options += ["-D", "CLOUDTOMO_WIDE_ATOMICS"]
             try:
                 self._programs[source] = cl.Program(self.context, f"{self._preamble}\n{source}").build(options)
             except cl.Error as error:
@@ -135,12 +131,17 @@ class Device:
                 ) from None
         return self._programs[source]
 
-    def kernel(self, file: str, name: str) -> Any:
-        """A kernel of a shipped file, for instance kernel("render", "render_paths")."""
-        if (file, name) not in self._kernels:
+    def kernel(self, file: str, name: str, features: tuple[str, ...] = ()) -> Any:
+        """A kernel of a shipped file, for instance kernel("render", "render_paths").
+
+        features : macros that compile in what only some scenes need, for instance
+            ("CLOUDTOMO_PHASE_TABLE",)
+        """
+        if (file, name, features) not in self._kernels:
             cl = _import_pyopencl()
-            self._kernels[file, name] = cl.Kernel(self.build(f'#include "{file}.cl"\n'), name)
-        return self._kernels[file, name]
+            source = "".join(f"#define {feature}\n" for feature in features) + f'#include "{file}.cl"\n'
+            self._kernels[file, name, features] = cl.Kernel(self.build(source), name)
+        return self._kernels[file, name, features]
 
     def launch(self, kernel: Any, work_items: int, *arguments: Any) -> None:
         """Runs a kernel on at least `work_items` work items (kernels skip the rest)."""

@@ -238,8 +238,7 @@ class RadianceOperator:
         if adjoint.shape != (len(self.pixels), 2):
             raise DataError(f"adjoint has shape {adjoint.shape}, not ({len(self.pixels)}, 2)")
         queue = self.device.queue
-        dtype = np.int64 if self.device.fixed_point else np.float32
-        total = self._array.zeros(queue, self.scene.grid.shape, dtype)
+        total = self._array.zeros(queue, self.scene.grid.shape, np.int64)
         largest = float(np.abs(adjoint).max())
         if not np.isfinite(largest):
             raise DataError("adjoint is not finite")

@@ -1,28 +1,36 @@
-/* How many work items add into one voxel.
+/* How many work items add into one number.
  *
- * With 64-bit integer atomics, values are rounded to integers and summed in fixed point: the
- * sum has the same bits whatever the order. Without, floats are summed by compare-and-swap.
- * In both cases the host has scaled the adjoint so that one unit is the wanted resolution. */
+ * Values are rounded to integers and summed in fixed point, 64 bits wide: the sum has the same
+ * bits whatever the order, and does not drift however many they are. Devices without 64-bit
+ * atomics add the two halves apart and carry. The host scales what is added so that one unit
+ * is the wanted resolution. */
 #ifndef CLOUDTOMO_ACCUMULATE_H
 #define CLOUDTOMO_ACCUMULATE_H
 
-#ifdef CLOUDTOMO_FIXED_POINT
-#pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable
 typedef long Accumulator;
 
+#ifdef CLOUDTOMO_WIDE_ATOMICS
+#pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable
 inline void accumulate(volatile __global Accumulator *sum, float value)
 {
     atom_add(sum, convert_long_sat_rte(value));
 }
 #else
-typedef float Accumulator;
-
+#ifdef __ENDIAN_LITTLE__
+#define LOW_WORD 0
+#else
+#define LOW_WORD 1
+#endif
+/* Every wrap of the low word is seen by exactly one work item, which carries it. */
 inline void accumulate(volatile __global Accumulator *sum, float value)
 {
-    volatile __global uint *bits = (volatile __global uint *)sum;
-    uint expected = *bits, seen;
-    while ((seen = atomic_cmpxchg(bits, expected, as_uint(as_float(expected) + value))) != expected)
-        expected = seen;
+    volatile __global uint *words = (volatile __global uint *)sum;
+    const ulong bits = as_ulong(convert_long_sat_rte(value));
+    const uint low = (uint)bits;
+    const uint before = atomic_add(words + LOW_WORD, low);
+    const uint high = (uint)(bits >> 32) + (before + low < low);
+    if (high != 0u)
+        atomic_add(words + 1 - LOW_WORD, high);
 }
 #endif
 

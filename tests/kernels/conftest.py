@@ -44,8 +44,8 @@ def probe(device):
 
 
 @pytest.fixture(scope="session")
-def probe_compare_and_swap():
+def probe_with_narrow_atomics():
     """A device that builds its kernels without 64-bit atomics."""
     device = choose_device()
-    device.accumulation = "float compare-and-swap"
+    device.accumulation = "32-bit atomics with carry"
     return Probe(device)

@@ -6,46 +6,34 @@ import pytest
 ADDS, SUMS = 98_000, 7  # a multiple
 
 
+@pytest.fixture(params=["wide", "narrow"])
+def any_probe(request, probe, probe_with_narrow_atomics):
+    """The device as it is, and as if it had no 64-bit atomics."""
+    return {"wide": probe, "narrow": probe_with_narrow_atomics}[request.param]
+
+
 def accumulated(probe, values):
-    dtype = np.int64 if probe.device.fixed_point else np.float32
-    return probe("probe_accumulate", ADDS, np.uint32(SUMS), np.float32(values), results=[np.zeros(SUMS, dtype)])
+    return probe("probe_accumulate", ADDS, np.uint32(SUMS), np.float32(values), results=[np.zeros(SUMS, np.int64)])
 
 
-def expected(values):
-    return np.bincount(np.arange(ADDS) % SUMS, np.float32(values).astype(float), SUMS)
-
-
-def test_fixed_point_sums_of_integers_are_exact(probe, random):
-    if not probe.device.fixed_point:
-        pytest.skip("this device has no 64-bit integer atomics")
+def test_sums_of_integers_are_exact(any_probe, random):
     # Beyond 2^24 a float holds every second integer or fewer; the sums exceed 2^53.
     values = np.rint(random.normal(size=ADDS) * 2.0**50).astype(np.float32)
-    found = accumulated(probe, values)
     exact = [sum(int(v) for v in values[i::SUMS]) for i in range(SUMS)]
-    assert found.tolist() == exact
+    assert accumulated(any_probe, values).tolist() == exact
 
 
-def test_fixed_point_rounds_to_nearest(probe, random):
-    if not probe.device.fixed_point:
-        pytest.skip("this device has no 64-bit integer atomics")
+def test_addends_are_rounded_to_nearest(any_probe, random):
     values = random.normal(size=ADDS).astype(np.float32) * 1000
-    np.testing.assert_array_equal(accumulated(probe, values), expected(np.rint(values)))
+    expected = np.bincount(np.arange(ADDS) % SUMS, np.rint(values).astype(float), SUMS)
+    np.testing.assert_array_equal(accumulated(any_probe, values), expected)
 
 
-def test_fixed_point_sums_have_the_same_bits_in_any_order(probe, random):
-    if not probe.device.fixed_point:
-        pytest.skip("this device has no 64-bit integer atomics")
-    values = random.normal(size=ADDS).astype(np.float32) * 2.0**40
-    # Turned round by a multiple of SUMS, every value keeps its sum and changes its place.
-    np.testing.assert_array_equal(accumulated(probe, values), accumulated(probe, np.roll(values, 5000 * SUMS)))
-
-
-def test_compare_and_swap_loses_no_addition(probe_compare_and_swap, random):
-    # Integers below 2^24 add exactly in single precision, in any order. Every work item adds
-    # into the same sum, long enough for all cores to take part.
+def test_no_addition_is_lost_where_all_add_into_one(any_probe, random):
+    # Long enough for all cores to take part; small numbers of both signs carry often.
     values = random.integers(-100, 100, 4_000_000)
-    found = probe_compare_and_swap(
-        "probe_accumulate", len(values), np.uint32(1), np.float32(values), results=[np.zeros(1, np.float32)]
+    found = any_probe(
+        "probe_accumulate", len(values), np.uint32(1), np.float32(values), results=[np.zeros(1, np.int64)]
     )
     assert found[0] == values.sum()
 

@@ -44,8 +44,6 @@ def test_error_and_cost_fall(problem, device):
 
 
 def test_the_same_seed_gives_the_same_bits(problem, device):
-    if not device.fixed_point:
-        pytest.skip("this device sums floats in any order: it has no 64-bit integer atomics")
     first, second = (recover(problem, device, seed=4, stages=STAGES[:1]) for _ in range(2))
     np.testing.assert_array_equal(first.extinction, second.extinction)
 
@@ -56,8 +54,6 @@ def test_another_seed_gives_another_result(problem, device):
 
 
 def test_the_truth_does_not_help(problem, device):
-    if not device.fixed_point:
-        pytest.skip("this device sums floats in any order: it has no 64-bit integer atomics")
     with_truth, without = (recover(problem, device, stages=STAGES[:1], truth=t) for t in (problem[2], None))
     np.testing.assert_array_equal(with_truth.extinction, without.extinction)
     assert without.history[0].epsilon is None
