@@ -9,7 +9,7 @@ import numpy as np
 
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.scene import Scene
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+from cloudtomo_cl.sensors import RayView, View
 
 STRUCTS: dict[str, np.dtype] = {
     "Scene": np.dtype(
@@ -32,6 +32,7 @@ STRUCTS: dict[str, np.dtype] = {
             ("direction", np.float32, 9),
             ("width", np.int32),  # pixels
             ("height", np.int32),
+            ("first_ray", np.int32),  # in the array of rays; -1: affine
         ]
     ),
     "PixelSums": np.dtype(
@@ -75,14 +76,35 @@ def scene_struct(scene: Scene, side_flights: bool) -> np.ndarray:
     return struct
 
 
-def view_structs(views: Sequence[PerspectiveView | OrthographicView], grid: Grid) -> np.ndarray:
+def view_structs(views: Sequence[View], grid: Grid) -> np.ndarray:
     """The kernels' View of every view, shape (views,)."""
     structs = np.zeros(len(views), STRUCTS["View"])
+    rays = 0
     for struct, view in zip(structs, views):
+        struct["width"], struct["height"] = view.pixels
+        if isinstance(view, RayView):
+            struct["first_ray"] = rays
+            rays += len(view.origins)
+            continue
         origin, direction = view.rays(grid)
         origin = origin.copy()
         origin[0] -= grid.origin
         struct["origin"] = origin.ravel()
         struct["direction"] = direction.ravel()
-        struct["width"], struct["height"] = view.pixels
+        struct["first_ray"] = -1
     return structs
+
+
+def ray_array(views: Sequence[View], scene: Scene) -> np.ndarray:
+    """The rays of all views that are lists of rays, one after the other.
+
+    Returns an array (rays, 6), float32: origins in km from the domain's lower corner,
+    directions. It has one ray that nobody looks at if there is no such view.
+    """
+    periodic = scene.boundary.horizontal == "periodic"
+    arrays = [
+        np.hstack([view.starts(scene.grid, periodic) - scene.grid.origin, view.directions])
+        for view in views
+        if isinstance(view, RayView)
+    ]
+    return np.concatenate(arrays or [np.zeros((1, 6))]).astype(np.float32)

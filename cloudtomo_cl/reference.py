@@ -21,7 +21,7 @@ import scipy.sparse
 
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.scene import Scene
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+from cloudtomo_cl.sensors import View
 
 Particle = Literal["droplet", "molecule", "surface"]
 
@@ -75,9 +75,7 @@ def uniforms(seed: int, iteration: int, view: int, pixel: int, sample: int, bloc
 # --- rays -------------------------------------------------------------------------------
 
 
-def camera_ray(
-    view: PerspectiveView | OrthographicView, grid: Grid, column: float, row: float
-) -> tuple[np.ndarray, np.ndarray]:
+def camera_ray(view: View, grid: Grid, column: float, row: float) -> tuple[np.ndarray, np.ndarray]:
     """The ray of a point of an image.
 
     Parameters
@@ -87,6 +85,9 @@ def camera_ray(
 
     Returns its origin (km, shape (3,)) and its direction, a unit vector.
     """
+    if view.type == "rays":
+        index = int(row) * view.pixels[0] + int(column)
+        return view.origins[index], view.directions[index]
     if view.position is not None:
         sight = np.subtract(view.target, view.position).astype(float)
         sight /= np.linalg.norm(sight)
@@ -354,7 +355,7 @@ def side_flights(
 
 
 def path(
-    scene: Scene, extinction: np.ndarray, view: PerspectiveView | OrthographicView, seed: int, iteration: int,
+    scene: Scene, extinction: np.ndarray, view: View, seed: int, iteration: int,
     view_index: int, pixel: int, sample: int, with_side_flights: bool,
 ) -> list[Contribution]:
     """All contributions of one path; their sum is its radiance.

@@ -7,10 +7,11 @@ right and v down from the upper left corner: that is all that the kernels know o
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, WithJsonSchema, model_validator
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.grid import Count, Grid, Length, Triple
@@ -194,4 +195,121 @@ class OrthographicView:
         return u, v, depth
 
 
-View = Annotated[PerspectiveView | OrthographicView, Field(discriminator="type")]
+def _rows_of_three(values: Any) -> np.ndarray:
+    """A copy that cannot be written to, so that a view stays what it was."""
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError("must be an array of numbers of shape (rays, 3)") from None
+    if array.ndim != 2 or array.shape[1] != 3 or not len(array):
+        raise ValueError(f"has shape {array.shape}: it must have (rays, 3), with at least one ray")
+    wrong = ~np.isfinite(array).all(axis=1)
+    if wrong.any():
+        raise ValueError(f"row {np.argmax(wrong)} is not finite")
+    array.setflags(write=False)
+    return array
+
+
+RowsOfThree = Annotated[
+    np.ndarray,
+    PlainValidator(_rows_of_three),
+    PlainSerializer(lambda array: array.tolist(), when_used="json"),
+    WithJsonSchema({"type": "array"}),
+]
+
+
+@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
+class RayView:
+    """Arbitrary rays, one for each pixel: for sensors that no other view describes.
+
+    A pixel's samples all take its ray. Pixels need not lie side by side in space, so the
+    image is never resampled: a reconstruction keeps its pixels in every stage.
+
+    Attributes
+    ----------
+    origins : km, shape (rays, 3), in or around the domain, not below the ground
+    directions : in which the sensor looks, shape (rays, 3), of any length; kept as unit vectors
+    pixels : (width, height), ray `row * width + column` belongs to a pixel; by default (rays, 1)
+    """
+
+    origins: RowsOfThree
+    directions: RowsOfThree
+    pixels: Pixels = None  # type: ignore[assignment]  # a pair after the check
+    type: Literal["rays"] = "rays"
+
+    @model_validator(mode="after")
+    def _check(self) -> RayView:
+        count = len(self.origins)
+        if len(self.directions) != count:
+            raise ValueError(f"there are {count} origins and {len(self.directions)} directions: give as many of both")
+        length = np.linalg.norm(self.directions, axis=1, keepdims=True)
+        if not length.all():
+            raise ValueError(f"directions: row {np.argmin(length)} is zero, which is no direction")
+        if (self.origins[:, 2] < 0).any():
+            row = int(np.argmax(self.origins[:, 2] < 0))
+            raise ValueError(f"origins: row {row} lies below the ground, z = 0: raise it")
+        directions = self.directions / length
+        directions.setflags(write=False)
+        object.__setattr__(self, "directions", directions)
+        if self.pixels is None:
+            object.__setattr__(self, "pixels", (count, 1))
+        if self.pixels[0] * self.pixels[1] != count:
+            raise ValueError(f"pixels are {self.pixels[0]} x {self.pixels[1]} for {count} rays: give as many of both")
+        return self
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, RayView)
+            and self.pixels == other.pixels
+            and np.array_equal(self.origins, other.origins)
+            and np.array_equal(self.directions, other.directions)
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.pixels, self.origins.tobytes(), self.directions.tobytes()))
+
+    def starts(self, grid: Grid, periodic: bool) -> np.ndarray:
+        """Points from which the rays see the same, but close to the domain: km, shape (rays, 3).
+
+        Kernels have single precision, which is some metres at the distance of a satellite. A ray
+        that comes from outside starts where it enters the domain, or, if it passes the domain by
+        on its way down, at the ground. In a periodic domain it starts within the domain.
+        """
+        lower, extent = np.asarray(grid.origin), np.asarray(grid.extent)
+        axes = [2] if periodic else [0, 1, 2]
+        near, far = clip_to_box(self.origins, self.directions, lower, lower + extent, axes)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            to_ground = self.origins[:, 2] / np.maximum(-self.directions[:, 2], 0.0)
+        misses = np.where(np.isfinite(to_ground), to_ground, 0.0)
+        starts = self.origins + np.where(near < far, near, misses)[:, None] * self.directions
+        if periodic:
+            starts[:, :2] -= extent[:2] * np.floor((starts[:, :2] - lower[:2]) / extent[:2])
+        return starts
+
+
+def clip_to_box(
+    start: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray, axes: Sequence[int] = (0, 1, 2)
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where rays `start + t step`, t >= 0, lie in a box: they do for near <= t <= far (the slab test).
+
+    Parameters
+    ----------
+    start, step : shape (..., 3)
+    lower, upper : corners of the box, shape (3,)
+    axes : along which the box ends
+
+    Returns
+    -------
+    near, far : shape (...); a ray misses the box where near > far
+    """
+    axes = list(axes)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        to_lower = (lower - start)[..., axes] / step[..., axes]
+        to_upper = (upper - start)[..., axes] / step[..., axes]
+    # A ray within the plane of a face gives 0/0: the face does not bound it.
+    enters = np.nan_to_num(np.minimum(to_lower, to_upper), nan=-np.inf).max(axis=-1)
+    leaves = np.nan_to_num(np.maximum(to_lower, to_upper), nan=np.inf).min(axis=-1)
+    return np.maximum(enters, 0.0), leaves
+
+
+View = Annotated[PerspectiveView | OrthographicView | RayView, Field(discriminator="type")]

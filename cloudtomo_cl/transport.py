@@ -11,9 +11,9 @@ import numpy as np
 
 from cloudtomo_cl.device import Device, choose_device
 from cloudtomo_cl.errors import DataError, TransportError
-from cloudtomo_cl.layout import STRUCTS, scene_struct, view_structs
+from cloudtomo_cl.layout import STRUCTS, ray_array, scene_struct, view_structs
 from cloudtomo_cl.scene import Scene
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+from cloudtomo_cl.sensors import View
 
 Estimator = Literal["side-flights", "plain"]
 
@@ -69,7 +69,7 @@ class RadianceOperator:
     def __init__(
         self,
         scene: Scene,
-        views: Sequence[PerspectiveView | OrthographicView],
+        views: Sequence[View],
         device: Device | None = None,
         pixels: np.ndarray | None = None,
         estimator: Estimator | None = None,
@@ -91,6 +91,7 @@ class RadianceOperator:
         queue = self.device.queue
         self._scene = self._constant(scene_struct(scene, self.estimator == "side-flights"))
         self._views = self._constant(view_structs(self.views, scene.grid))
+        self._rays = self._constant(ray_array(self.views, scene))
         self._pixels = self._constant(self.pixels)
         air = scene.air.profile(scene.grid) if scene.air else np.zeros(scene.grid.shape[2])
         self._air = self._constant(air.astype(np.float32))
@@ -171,6 +172,7 @@ class RadianceOperator:
         return (
             self._scene,
             self._views,
+            self._rays,
             self._pixels,
             beta.data,
             self._air,
@@ -261,7 +263,7 @@ class RadianceOperator:
         return [image.reshape(view.pixels[1], view.pixels[0]) for image, view in zip(images, self.views)]
 
 
-def all_pixels(views: Sequence[PerspectiveView | OrthographicView]) -> np.ndarray:
+def all_pixels(views: Sequence[View]) -> np.ndarray:
     """Every pixel of every view: an array (pixels, 2) of (view, row * width + column)."""
     counts = [view.pixels[0] * view.pixels[1] for view in views]
     return np.column_stack(

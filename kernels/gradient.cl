@@ -4,6 +4,7 @@
 #include "path.h"
 
 __kernel void replay_paths(__constant Scene *scene, const __global View *views,
+                           const __global float *rays,
                            const __global uint2 *pixels,
                            const __global float *extinction, const __global float *air,
                            const uint pixel_count, const uint first_sample, const uint path_count,
@@ -29,5 +30,5 @@ __kernel void replay_paths(__constant Scene *scene, const __global View *views,
     const uint2 pixel = pixels[pixel_in_list];
     const SampleKey key = {seed, iteration, pixel.y, pixel.x, sample};
     const Medium medium = {scene, extinction, air};
-    trace_path(&medium, camera_ray(scene, views + pixel.x, &key), &key, &record);
+    trace_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &record);
 }

@@ -3,6 +3,7 @@
 
 /* Path `sample_in_launch * pixel_count + pixel`: its radiance, for a sun of irradiance 1. */
 __kernel void render_paths(__constant Scene *scene, const __global View *views,
+                           const __global float *rays,   /* of the views that are lists of rays */
                            const __global uint2 *pixels, /* (view, pixel) to render */
                            const __global float *extinction, const __global float *air,
                            const uint pixel_count, const uint first_sample, const uint path_count,
@@ -19,7 +20,7 @@ __kernel void render_paths(__constant Scene *scene, const __global View *views,
     Record record;
     record.radiance = 0.0f;
     record.lost = false;
-    trace_path(&medium, camera_ray(scene, views + pixel.x, &key), &key, &record);
+    trace_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &record);
     path_radiance[path] = record.radiance;
     if (record.lost)
         atomic_inc(lost_paths);

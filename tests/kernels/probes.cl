@@ -97,11 +97,11 @@ __kernel void probe_fly(const uint count, __constant Scene *scene, const __globa
 }
 
 __kernel void probe_camera(const uint count, __constant Scene *scene, const __global View *view,
-                           const uint seed, const uint sample, __global float *position, __global float *direction)
+                           const __global float *rays, const uint seed, const uint sample, __global float *position, __global float *direction)
 {
     PROBE(count);
     const SampleKey key = {seed, 0u, (uint)i, 0u, sample};
-    const Ray ray = camera_ray(scene, view, &key);
+    const Ray ray = camera_ray(scene, view, rays, &key);
     vstore3(ray.position * grid_spacing(scene), i, position);
     vstore3(ray.direction, i, direction);
 }

@@ -6,13 +6,25 @@ from cloudtomo_cl import reference
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.phase import HenyeyGreenstein
 from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, RayView
 
 GRID = Grid(shape=(3, 4, 3), spacing=(0.1, 0.08, 0.12), origin=(0.5, -0.2, 0.2))
 PERIODIC = Boundary(horizontal="periodic")
 
 ABOVE = OrthographicView(width=0.45, pixels=(3, 3), zenith=25, azimuth=200)
 CAMERA = PerspectiveView((0.6, -0.6, 1.0), (0.65, -0.05, 0.3), 35.0, (3, 3))
+# From above and beside, from far away, from the ground, from inside; two pass the domain by.
+RAYS = RayView(
+    origins=[
+        (0.6, -0.1, 0.9), (0.0, -0.1, 0.3), (70.6, 50, 90), (0.63, -0.07, 0.0), (0.62, -0.05, 0.41), (0.72, -0.6, 0.3),
+        (0.67, -0.18, 0.2), (0.55, 300, 0.35), (9, 9, 40),
+    ],
+    directions=[
+        (0.1, 0.2, -1), (1, 0.05, 0.03), (-70, -50.1, -89.6), (0.1, 0.1, 1), (-0.3, 0.2, -0.1), (-0.1, 1, 0.05),
+        (0.05, 1, 0.6), (0.0003, -300, -0.03), (0.2, 0.1, -1),
+    ],
+    pixels=(3, 3),
+)  # fmt: skip
 
 
 def optics(g, albedo=1.0):

@@ -5,9 +5,9 @@ import pytest
 
 from cloudtomo_cl import reference
 from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.layout import scene_struct, view_structs
+from cloudtomo_cl.layout import ray_array, scene_struct, view_structs
 from cloudtomo_cl.scene import Scene, Sun
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, RayView
 
 GRID = Grid(shape=(4, 4, 5), spacing=(0.1, 0.1, 0.05), origin=(1.0, -2.0, 0.3))
 SEED = 11
@@ -19,19 +19,26 @@ VIEWS = {
     "orthographic, oblique": OrthographicView(width=0.8, pixels=(3, 4), zenith=60, azimuth=110),
     "orthographic, from a place": OrthographicView(0.5, (4, 4), position=(0, -2, 0.4), target=(1.2, -1.8, 0.7)),
 }
+RAYS = RayView(
+    origins=[(0.2, -3, 1.5), (1.2, -1.8, 2.0), (1.1, -1.9, 0.4), (700, -1.9, 900), (1.2, -1.8, 0.0), (0, 0, 700)],
+    directions=[(2, 3, -2), (0, 0, -1), (1, 1, 0.5), (-699, 0.1, -899.7), (0.1, 0.2, 3), (-300, 200, -700)],
+    pixels=(3, 2),
+)
+EVERY_VIEW = {**VIEWS, "rays": RAYS}
 
 
 def rays(probe, view, sample=0):
     """Origins (km) and directions of one sample in every pixel."""
     count = view.pixels[0] * view.pixels[1]
+    scene = Scene(grid=GRID, sun=Sun(zenith=0))
     origins, directions = probe(
-        "probe_camera", count, scene_struct(Scene(grid=GRID, sun=Sun(zenith=0)), False), view_structs([view], GRID),
+        "probe_camera", count, scene_struct(scene, False), view_structs([view], GRID), ray_array([view], scene),
         np.uint32(SEED), np.uint32(sample), results=[np.zeros((count, 3), np.float32)] * 2,
     )  # fmt: skip
     return origins.astype(float) + GRID.origin, directions.astype(float)
 
 
-@pytest.mark.parametrize("view", VIEWS.values(), ids=VIEWS)
+@pytest.mark.parametrize("view", EVERY_VIEW.values(), ids=EVERY_VIEW)
 def test_rays_are_those_of_the_reference(probe, view):
     origins, directions = rays(probe, view, sample=3)
     for pixel, (origin, direction) in enumerate(zip(origins, directions, strict=True)):
@@ -44,7 +51,7 @@ def test_rays_are_those_of_the_reference(probe, view):
         np.testing.assert_allclose(apart - (apart @ expected) * expected, 0, atol=3e-6)
 
 
-@pytest.mark.parametrize("view", VIEWS.values(), ids=VIEWS)
+@pytest.mark.parametrize("view", EVERY_VIEW.values(), ids=EVERY_VIEW)
 def test_directions_have_unit_length(probe, view):
     np.testing.assert_allclose(np.linalg.norm(rays(probe, view)[1], axis=1), 1, atol=3e-7)
 
