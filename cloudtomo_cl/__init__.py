@@ -14,7 +14,7 @@ from cloudtomo_cl.io import read_extinction, read_measurements, write_extinction
 from cloudtomo_cl.measurements import Measurements
 from cloudtomo_cl.metrics import delta, epsilon
 from cloudtomo_cl.optimizer import Optimizer
-from cloudtomo_cl.phase import HenyeyGreenstein
+from cloudtomo_cl.phase import DoubleHenyeyGreenstein, HenyeyGreenstein, TabulatedPhaseFunction
 from cloudtomo_cl.prior import Prior
 from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
 from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
@@ -26,6 +26,7 @@ __all__ = [
     "Boundary",
     "Cloud",
     "CloudtomoError",
+    "DoubleHenyeyGreenstein",
     "Grid",
     "HenyeyGreenstein",
     "Measurements",
@@ -40,6 +41,7 @@ __all__ = [
     "Stage",
     "Sun",
     "Surface",
+    "TabulatedPhaseFunction",
     "automatic_stages",
     "carve",
     "choose_device",

@@ -235,7 +235,7 @@ def _message(entry: Any, key: str, schema: dict[str, Any]) -> str:
         return f"has type {entry['ctx']['tag']!r}: allowed are {entry['ctx']['expected_tags']}"
     if kind == "tuple_type" and isinstance(value, dict):
         return f"must be a list of tables: write [[{key}]]"
-    if kind in ("dataclass_type", "model_type", "dict_type"):
+    if kind in ("dataclass_type", "model_type", "model_attributes_type", "dict_type"):
         return f"must be a table, is {_shown(value)}"
     if kind == "too_short" and not value:
         return "needs at least one entry"

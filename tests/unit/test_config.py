@@ -7,7 +7,7 @@ from cloudtomo_cl.config import read_reconstruct_settings, read_render_settings,
 from cloudtomo_cl.errors import SettingsError
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.optimizer import Optimizer
-from cloudtomo_cl.phase import HenyeyGreenstein
+from cloudtomo_cl.phase import DoubleHenyeyGreenstein, HenyeyGreenstein, TabulatedPhaseFunction
 from cloudtomo_cl.prior import Prior
 from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
 from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
@@ -90,6 +90,18 @@ def test_both_projections_are_views(folder):
     assert [type(view) for view in read_scene(folder, text).view] == [PerspectiveView, OrthographicView]
 
 
+def test_phase_function_with_g_alone_is_henyey_greenstein(folder):
+    text = SCENE.replace('file = "cloud.nc"', 'file = "cloud.nc"\nphase_function = { g = 0.5 }')
+    assert read_scene(folder, text).cloud.phase_function == HenyeyGreenstein(0.5)
+
+
+def test_a_table_may_be_written_out(folder):
+    table = '{ type = "table", angle = [0, 180], values = [0.1, 0.06], effective_radius = [10] }'
+    text = SCENE.replace('file = "cloud.nc"', f'file = "cloud.nc"\nphase_function = {table}')
+    expected = TabulatedPhaseFunction((0, 180), (0.1, 0.06), (10,))
+    assert read_scene(folder, text).cloud.phase_function == expected
+
+
 def test_files_are_beside_the_settings(folder):
     assert read_scene(folder, SCENE).cloud.file == folder / "cloud.nc"
 
@@ -154,7 +166,42 @@ WRONG_SCENES = {
     "unknown phase function": (
         'file = "cloud.nc"',
         'file = "cloud.nc"\nphase_function = { type = "mie", g = 0.5 }',
-        "cloud.phase_function.type must be 'henyey-greenstein', is \"mie\"",
+        "cloud.phase_function has type 'mie': allowed are 'henyey-greenstein', 'double-henyey-greenstein', 'table'",
+    ),
+    "phase function without a type": (
+        'file = "cloud.nc"',
+        'file = "cloud.nc"\nphase_function = { forward_g = 0.5 }',
+        "cloud.phase_function needs a key type",
+    ),
+    "misspelt key of a phase function": (
+        'file = "cloud.nc"',
+        'file = "cloud.nc"\nphase_function = { type = "double-henyey-greenstein", forwardg = 0.5 }',
+        "cloud.phase_function.forwardg is no known key: did you mean forward_g?",
+    ),
+    "missing key of a phase function": (
+        'file = "cloud.nc"',
+        'file = "cloud.nc"\nphase_function = { type = "double-henyey-greenstein", forward_g = 0.5 }',
+        "cloud.phase_function.backward_g is missing",
+    ),
+    "asymmetry out of range": (
+        'file = "cloud.nc"',
+        'file = "cloud.nc"\nphase_function = { g = 1.0 }',
+        "cloud.phase_function.g must be less than or equal to 0.99, is 1.0",
+    ),
+    "table of a phase function normalised to 4 pi": (
+        'file = "cloud.nc"',
+        'file = "cloud.nc"\nphase_function = { type = "table", angle = [0, 180], values = [1, 1] }',
+        "cloud.phase_function is wrong: values[0] integrates to 12.5664 over the sphere",
+    ),
+    "text in a table of a phase function": (
+        'file = "cloud.nc"',
+        'file = "cloud.nc"\nphase_function = { type = "table", angle = [0, 180], values = [1, "a"] }',
+        'cloud.phase_function.values[0][1] must be a number, is "a"',
+    ),
+    "phase function that is no table": (
+        'file = "cloud.nc"',
+        'file = "cloud.nc"\nphase_function = 0.85',
+        "cloud.phase_function must be a table, is 0.85",
     ),
     "two ways to say a direction": (
         'type = "perspective"',
@@ -220,8 +267,8 @@ def test_wrong_run_is_named(folder, text, message):
 
 @pytest.mark.parametrize(
     "table",
-    [Grid, Sun, Cloud, Air, Surface, Boundary, Scene, HenyeyGreenstein, PerspectiveView, OrthographicView]
-    + [Stage, Prior, Optimizer],
+    [Grid, Sun, Cloud, Air, Surface, Boundary, Scene, HenyeyGreenstein, DoubleHenyeyGreenstein, TabulatedPhaseFunction]
+    + [PerspectiveView, OrthographicView, Stage, Prior, Optimizer],
 )
 def test_settings_classes_refuse_unknown_arguments(table):
     with pytest.raises(ValidationError) as error:
