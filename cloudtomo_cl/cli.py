@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from cloudtomo_cl import cloud_command
 from cloudtomo_cl.errors import CloudtomoError
 
 EXIT_ERROR = 2
@@ -25,16 +26,6 @@ a whole example:
   cloudtomo reconstruct run.toml --seed 2 --output run
 
 `cloudtomo COMMAND --help` explains a command and its files."""
-
-CLOUD = """\
-Summarise a cloud's file, or generate a cloud.
-
-The file is netCDF with extinction(x, y, z) in km^-1; its coordinates are the centres of the voxels in km."""
-
-CLOUD_EXAMPLES = """\
-examples:
-  cloudtomo cloud cloud.nc
-  cloudtomo cloud --generate cumulus --shape 32 32 32 --spacing 0.025 0.025 0.025 --seed 1 --output cloud.nc"""
 
 RENDER = """\
 Compute the images of a scene, with the standard error of every pixel.
@@ -124,13 +115,8 @@ def parser() -> argparse.ArgumentParser:
 
     add("devices", "list the OpenCL devices", "List the OpenCL devices.", "example:\n  cloudtomo devices")
 
-    cloud = add("cloud", "summarise or generate a cloud", CLOUD, CLOUD_EXAMPLES, quiet, overwrite)
-    cloud.add_argument("file", nargs="?", type=Path, metavar="FILE", help="the cloud to summarise")
-    cloud.add_argument("--generate", choices=["cumulus"], help="the kind of cloud to generate")
-    cloud.add_argument("--shape", nargs=3, type=int, metavar=("NX", "NY", "NZ"), help="voxels along x, y, z")
-    cloud.add_argument("--spacing", nargs=3, type=float, metavar=("DX", "DY", "DZ"), help="edges of a voxel, km")
-    cloud.add_argument("--seed", type=_seed, default=0, help="of the generated cloud (default 0)")
-    cloud.add_argument("--output", type=Path, metavar="FILE", help="where the generated cloud goes")
+    texts = (cloud_command.DESCRIPTION, cloud_command.EXAMPLES)
+    cloud_command.add_arguments(add("cloud", "read, change or generate a cloud", *texts, quiet, overwrite), _seed)
 
     render = add("render", "compute images of a scene", RENDER, RENDER_EXAMPLES, device, quiet, overwrite)
     render.add_argument("scene", type=Path, metavar="SCENE.toml")

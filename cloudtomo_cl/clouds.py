@@ -1,4 +1,4 @@
-"""Made-up cumuli: adiabatic cores, mixed away at their turbulent edges.
+"""Made-up clouds: cumuli with adiabatic cores, mixed away at their turbulent edges, and decks of stratocumulus.
 
 Everything is a function of physical coordinates, so the same seed gives the same cloud on
 any grid of a domain, only seen more or less finely. Not a simulation: the shapes follow what
@@ -7,6 +7,9 @@ edges and holes, extinction that grows with height and falls towards the edges).
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,6 +28,8 @@ _MIXING_DEPTH = 0.3
 # Adiabatic liquid water grows linearly with height above the base, and extinction with the
 # square of the droplets' radius at a constant number: (z - base)^(2/3).
 _ADIABATIC_EXPONENT = 2 / 3
+# A deck's top and mean thickness as shares of the domain's height, and its waves along the longer side.
+_DECK_TOP, _DECK_THICKNESS, _DECK_WAVES = 0.85, 0.4, 32
 
 
 class Turbulence:
@@ -162,3 +167,100 @@ def _margins(grid: Grid, coordinates: list[np.ndarray]) -> np.ndarray:
     inside = np.minimum(np.minimum(x, y), z)
     # Turbulence stays far below 10 standard deviations.
     return np.where(inside > 0, 2.0 * (inside - 1.0), -10.0)
+
+
+def stratocumulus(
+    grid: Grid,
+    seed: int = 0,
+    optical_depth: float = 12.0,
+    variability: float = 0.4,
+    thickness: float | None = None,
+    top: float | None = None,
+) -> np.ndarray:
+    """Extinction of a stratocumulus deck, periodic in x and y.
+
+    The optical depth of columns is log-normal, with a spectrum that falls as k^(-5/3) (Cahalan et al. 1994,
+    J. Atmos. Sci. 51, 2434). Below a flat top, the inversion, every column is adiabatic: extinction grows with the
+    height above its base h as h^(2/3), so that the optical depth goes with the 5/3 power of the thickness
+    (Brenguier et al. 2000, J. Atmos. Sci. 57, 803). The same seed gives the same columns on any grid of a domain.
+
+    Parameters
+    ----------
+    grid : of the domain; km
+    seed : of the columns
+    optical_depth : mean over the columns
+    variability : standard deviation of the optical depth's logarithm
+    thickness : of a column of the mean optical depth, km; by default 40 % of the domain's height
+    top : of the deck, km; by default 85 % of the domain's height
+
+    Returns
+    -------
+    km^-1, float32, shape of the grid
+
+    Raises
+    ------
+    DataError : a parameter out of range; a top outside of the domain
+    """
+    lower, height = grid.origin[2], grid.extent[2]
+    top = lower + _DECK_TOP * height if top is None else top
+    thickness = _DECK_THICKNESS * height if thickness is None else thickness
+    if not (optical_depth > 0 and variability >= 0 and thickness > 0):
+        raise DataError(
+            f"optical_depth {optical_depth}, variability {variability}, thickness {thickness}: the first and the last "
+            "must be above 0, the variability at least 0"
+        )
+    if not lower < top <= lower + height:
+        raise DataError(f"top is {top:g} km: it must lie inside of the domain, {lower:g} to {lower + height:g} km")
+    gaussian = _periodic_field(np.random.default_rng(seed), grid)
+    depth = optical_depth * np.exp(variability * gaussian - variability**2 / 2)
+    # What does not fit between the domain's floor and the top is cut from the column's top thickness.
+    thick = np.minimum(thickness * (depth / optical_depth) ** (1 / (1 + _ADIABATIC_EXPONENT)), top - lower)
+    edges = grid.origin[2] + np.arange(grid.shape[2] + 1) * grid.spacing[2]
+    # The integral of the profile over every layer: columns keep their optical depth on any layers.
+    # Rounded, lest the layer above a top that lies on an edge holds the last digit's worth of cloud.
+    above_base = np.clip(np.round((edges - (top - thick)[..., None]) / thick[..., None], 12), 0.0, 1.0)
+    integral = depth[..., None] * above_base ** (1 + _ADIABATIC_EXPONENT)
+    return (np.diff(integral, axis=-1) / grid.spacing[2]).astype(np.float32)
+
+
+def _periodic_field(generator: np.random.Generator, grid: Grid) -> np.ndarray:
+    """A periodic Gaussian field of unit variance over x, y whose spectrum falls as k^(-5/3), shape (nx, ny)."""
+    waves = np.arange(-_DECK_WAVES, _DECK_WAVES + 1)
+    amplitudes = generator.normal(size=(len(waves), len(waves), 2)) @ [1, 1j]
+    # Waves of a domain that is not square have the same wavelengths along both axes.
+    along = np.array(grid.extent[:2]) / max(grid.extent[:2])
+    wavenumber = np.hypot(waves[:, None] / along[0], waves[None, :] / along[1])
+    # In the plane a ring holds about k modes: the variance of one is E(k) / k.
+    spread = np.where(wavenumber > 0, np.maximum(wavenumber, 1e-9) ** (-8 / 3), 0.0)
+    phase_x, phase_y = (
+        np.exp(2j * np.pi * np.outer((np.arange(n) + 0.5) / n, waves)) for n in grid.shape[:2]
+    )
+    field = (phase_x @ (amplitudes * np.sqrt(spread)) @ phase_y.T).real
+    return field / np.sqrt(spread.sum())
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A kind of cloud by name: what it is, on which voxels if nothing else is said, and its function of a grid."""
+
+    description: str
+    grid: Grid
+    generate: Callable[[Grid, int], np.ndarray]
+
+
+PRESETS = {
+    "cumulus": Preset("one trade-wind cumulus", Grid((32, 32, 32), (0.025, 0.025, 0.025)), cumulus),
+    "field": Preset(
+        "eight cumuli", Grid((80, 80, 40), (0.04, 0.04, 0.04)), lambda grid, seed: cumulus(grid, seed, clouds=8)
+    ),
+    "tower": Preset(
+        "a tall, thick cumulus congestus",
+        Grid((40, 40, 80), (0.05, 0.05, 0.05)),
+        lambda grid, seed: cumulus(grid, seed, peak=150.0),
+    ),
+    "stratocumulus": Preset(
+        "a deck of stratocumulus, periodic in x and y",
+        Grid((64, 64, 32), (0.05, 0.05, 0.02), (0.0, 0.0, 0.4)),
+        stratocumulus,
+    ),
+}

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import platform
 import sys
 import time
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +12,16 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from cloudtomo_cl.cloud_command import cloud as cloud
 from cloudtomo_cl.device import Device, choose_device, list_devices
 from cloudtomo_cl.errors import DataError, SettingsError
 from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.io import check_output
 from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.provenance import describe_device, source, versions
 from cloudtomo_cl.scene import Scene
 from cloudtomo_cl.transport import RadianceOperator, Rendering
 
-# Columns thinner than this in the vertical are counted as clear.
-COVER_OPTICAL_DEPTH = 0.1
 # Photons per pixel of the images without cloud that carving compares with. Without air only the
 # horizon makes them noisy.
 _CLEAR_SAMPLES, _CLEAR_SAMPLES_IN_AIR = 16, 256
@@ -53,74 +52,6 @@ def devices() -> None:
     console.print(table)
 
 
-def cloud(
-    file: Path | None,
-    generate: str | None,
-    shape: list[int] | None,
-    spacing: list[float] | None,
-    seed: int,
-    output: Path | None,
-    quiet: bool,
-    overwrite: bool,
-) -> None:
-    """Summarises the file of a cloud, or generates a cloud."""
-    from cloudtomo_cl.io import read_extinction, write_extinction
-
-    if (file is None) == (generate is None):
-        raise SettingsError("give either FILE to summarise, or --generate cumulus")
-    if generate is None:
-        if shape or spacing or output:
-            raise SettingsError("--shape, --spacing and --output belong to --generate")
-        grid, extinction = read_extinction(file)
-    else:
-        missing = [
-            f"--{name}"
-            for name, value in (("shape", shape), ("spacing", spacing), ("output", output))
-            if value is None
-        ]
-        if shape is None or spacing is None or output is None:
-            raise SettingsError(f"--generate needs {', '.join(missing)} too")
-        _check_new(output, overwrite)
-        from cloudtomo_cl.clouds import cumulus
-
-        grid = _grid(shape, spacing)
-        extinction = cumulus(grid, seed=seed)
-        write_extinction(output, grid, extinction, {"source": _source(), "generator": generate, "seed": seed})
-    if not quiet:
-        _summarise(grid, extinction)
-
-
-def _grid(shape: list[int], spacing: list[float]) -> Grid:
-    from pydantic import ValidationError
-
-    try:
-        return Grid(shape=tuple(shape), spacing=tuple(spacing))
-    except ValidationError as error:
-        first = error.errors()[0]
-        message = first["msg"].replace("Input should be", "must be")
-        raise SettingsError(f"--{first['loc'][0]}: {message}, is {first['input']}") from None
-
-
-def _summarise(grid: Grid, extinction: np.ndarray) -> None:
-    extinction = np.asarray(extinction, dtype=float)
-    depth = extinction.sum(axis=2) * grid.spacing[2]
-    cloudy = extinction > 0
-    rows = {
-        "voxels": " x ".join(map(str, grid.shape)),
-        "spacing": f"{' x '.join(f'{edge:g}' for edge in grid.spacing)} km",
-        "domain": ", ".join(
-            f"{axis} {origin:g} to {origin + edge:g} km" for axis, origin, edge in zip("xyz", grid.origin, grid.extent)
-        ),
-        "largest extinction": f"{extinction.max():.4g} km^-1",
-        "mean extinction": f"{extinction.mean():.4g} km^-1 ({extinction[cloudy].mean():.4g} km^-1 in cloudy voxels)",
-        "vertical optical depth": f"largest {depth.max():.4g}, mean {depth.mean():.4g}",
-        "cover": f"{(depth > COVER_OPTICAL_DEPTH).mean():.1%} of columns deeper than {COVER_OPTICAL_DEPTH}",
-        "optical mass": f"{extinction.sum() * grid.voxel_volume:.4g} km^2",
-    }
-    for name, value in rows.items():
-        print(f"{name:<24}{value}")
-
-
 def render(
     scene: Path,
     samples: int,
@@ -136,7 +67,7 @@ def render(
     from cloudtomo_cl.config import read_render_settings, stored_scene
     from cloudtomo_cl.io import read_extinction, write_measurements
 
-    _check_new(output, overwrite)
+    check_output(output, overwrite)
     if png is not None and (png.is_file() or any(parent.is_file() for parent in png.parents)):
         raise DataError(f"{png}: is a file, or lies beneath one: choose another folder for --png")
     if png is not None and not overwrite and any(png.glob("view_*.png")):
@@ -156,7 +87,7 @@ def render(
     write_measurements(
         output,
         measurements,
-        {"source": _source(), "device": chosen.name, "photons": float(photons), "seconds": seconds},
+        {"source": source(), "device": chosen.name, "photons": float(photons), "seconds": seconds},
         {"scene": stored_scene(described), "cloud_file": settings.cloud.file.name, "samples": samples, "seed": seed},
     )
     for index, (image, error) in enumerate(zip(measurements.images, measurements.standard_errors)):
@@ -209,8 +140,8 @@ def reconstruct(
             },
             "scene": stored_scene(scene),
             "seed": seed,
-            "device": _device(chosen),
-            "versions": _versions(),
+            "device": describe_device(chosen),
+            "versions": versions(),
         }
     )
     try:
@@ -240,7 +171,7 @@ def reconstruct(
         result.grid,
         result.extinction,
         result.mask,
-        {"source": _source(), "seed": seed, "photons": float(last.photons), "seconds": last.seconds},
+        {"source": source(), "seed": seed, "photons": float(last.photons), "seconds": last.seconds},
     )
     report(output, quiet=True)
     console.print(f"{last.photons:.3g} photons in {duration(last.seconds)} on {chosen.name}", soft_wrap=True)
@@ -321,29 +252,3 @@ def _if_there(path: Path, read: Any) -> Any:
         return read(path)
     print(f"cloudtomo report: {path} is not there any more: figures that need it are left out", file=sys.stderr)
     return None
-
-
-def _check_new(path: Path, overwrite: bool) -> None:
-    """Fails before the work, not after it."""
-    if path.is_dir() or not path.parent.is_dir():
-        raise DataError(f"{path}: is a folder, or in a folder that does not exist: choose another --output")
-    if path.exists() and not overwrite:
-        raise DataError(f"{path}: exists already: choose another --output, or add --overwrite")
-
-
-def _source() -> str:
-    return f"cloudtomo-cl {version('cloudtomo-cl')}"
-
-
-def _device(device: Device) -> dict[str, Any]:
-    return {
-        "name": device.name,
-        "platform": device.opencl.platform.name.strip(),
-        "version": device.opencl.version.strip(),
-        "accumulation": device.accumulation,
-    }
-
-
-def _versions() -> dict[str, str]:
-    packages = ("cloudtomo-cl", "numpy", "scipy", "pyopencl", "pydantic", "xarray", "netCDF4", "matplotlib")
-    return {"python": platform.python_version(), **{package: version(package) for package in packages}}

@@ -49,8 +49,13 @@ VIEW_FIELDS: dict[str, tuple[tuple[str, ...], str, str]] = {
 }
 
 
-def _load(path: str | os.PathLike[str]) -> xr.Dataset:
-    """The whole file in memory."""
+def load_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
+    """The whole file in memory.
+
+    Raises
+    ------
+    DataError : no such file, not netCDF, or cut short
+    """
     import xarray as xr
 
     if not Path(path).is_file():
@@ -64,7 +69,8 @@ def _load(path: str | os.PathLike[str]) -> xr.Dataset:
     except (OSError, RuntimeError, ValueError, KeyError, AttributeError) as error:
         text = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise DataError(
-            f"{path}: not a netCDF file, or damaged or cut short ({text}): check or copy it again"
+            f"{path}: not a netCDF file, or damaged or cut short ({text}): check or copy it again; "
+            f"clouds in other formats become netCDF by `cloudtomo cloud FILE --output cloud.nc`"
         ) from None
 
 
@@ -81,6 +87,19 @@ def _check_classic(path: str | os.PathLike[str]) -> None:
     netcdf_file(path, mmap=False).close()
 
 
+def check_output(path: Path, overwrite: bool) -> None:
+    """Fails before the work, not after it.
+
+    Raises
+    ------
+    DataError : a folder, in no folder, or there already and not to be replaced
+    """
+    if path.is_dir() or not path.parent.is_dir():
+        raise DataError(f"{path}: is a folder, or in a folder that does not exist: choose another --output")
+    if path.exists() and not overwrite:
+        raise DataError(f"{path}: exists already: choose another --output, or add --overwrite")
+
+
 def _save(path: str | os.PathLike[str], dataset: xr.Dataset) -> None:
     """Writes all or nothing: a file of that name is either whole or as it was before."""
     path = Path(path)
@@ -92,7 +111,7 @@ def _save(path: str | os.PathLike[str], dataset: xr.Dataset) -> None:
     }
     for name in dataset.variables:
         encoding.setdefault(name, {})
-        if name not in ("radiance", "radiance_standard_error"):
+        if name not in ("radiance", "radiance_standard_error", "effective_radius"):
             encoding[name]["_FillValue"] = None
     try:
         if not path.parent.is_dir():
@@ -200,7 +219,7 @@ def read_extinction(path: str | os.PathLike[str]) -> tuple[Grid, np.ndarray]:
         units, spacing that is not uniform, a domain below the ground; extinction that is
         negative, not finite or zero everywhere
     """
-    dataset = _load(path)
+    dataset = load_dataset(path)
     variable = _variable(path, dataset, "extinction", AXES)
     spacing, origin = zip(*(_axis(path, dataset, name) for name in AXES))
     values = variable.values.astype(np.float64) * _unit(path, variable, EXTINCTION_UNITS, "km-1")
@@ -225,6 +244,7 @@ def write_extinction(
     grid: Grid,
     extinction: np.ndarray,
     attributes: Mapping[str, Any] | None = None,
+    effective_radius: np.ndarray | None = None,
 ) -> None:
     """Writes extinction(x, y, z) with its voxel centres, after the CF conventions.
 
@@ -234,6 +254,7 @@ def write_extinction(
     grid : of the domain
     extinction : km^-1, shape of the grid; stored in single precision
     attributes : of the file, text or numbers; mappings are stored as JSON
+    effective_radius : of the droplets, micrometres, same shape, NaN where there is no cloud
 
     Raises
     ------
@@ -260,10 +281,12 @@ def write_extinction(
         "long_name": "cloud volume extinction coefficient",
         "units": "km-1",
     }
-    dataset = xr.Dataset(
-        {"extinction": (AXES, extinction.astype(np.float32), described)}, coordinates, _attributes(attributes)
-    )
-    _save(path, dataset)
+    variables: dict[str, Any] = {"extinction": (AXES, extinction.astype(np.float32), described)}
+    if effective_radius is not None:
+        described = {"long_name": "effective radius of the cloud's droplets", "units": "um"}
+        described["standard_name"] = "effective_radius_of_cloud_liquid_water_particles"
+        variables["effective_radius"] = (AXES, effective_radius.astype(np.float32), described)
+    _save(path, xr.Dataset(variables, coordinates, _attributes(attributes)))
 
 
 def write_measurements(
@@ -332,7 +355,7 @@ def read_measurements(path: str | os.PathLike[str]) -> Measurements:
     DataError : no such file, not netCDF, cut short; missing variables, other dimensions or
         units; images that are not finite; views that are not possible
     """
-    dataset = _load(path)
+    dataset = load_dataset(path)
     dims = ("view", "row", "column")
     radiance = _variable(path, dataset, "radiance", dims)
     error = _variable(path, dataset, "radiance_standard_error", dims)
@@ -365,7 +388,7 @@ def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
     ------
     DataError : no such file, not netCDF; no attribute `settings`, or it is not a JSON table
     """
-    text = _load(path).attrs.get("settings")
+    text = load_dataset(path).attrs.get("settings")
     if text is None:
         raise DataError(f"{path}: no attribute settings: the file was written without them")
     try:

@@ -39,12 +39,10 @@ def plot_slice(axes: Axes, grid: Grid, extinction: np.ndarray, normal: int, inde
     Returns the image, for a colour bar.
     """
     right, up = (axis for axis in range(3) if axis != normal)
-    limits = [grid.origin[right], grid.origin[right] + grid.extent[right]]
-    limits += [grid.origin[up], grid.origin[up] + grid.extent[up]]
     image = axes.imshow(
         np.take(extinction, index, axis=normal).T,
         origin="lower",
-        extent=tuple(limits),
+        extent=_extent(grid, right, up),
         vmin=0.0,
         vmax=largest,
         cmap="viridis",
@@ -53,6 +51,84 @@ def plot_slice(axes: Axes, grid: Grid, extinction: np.ndarray, normal: int, inde
     axes.set_xlabel(f"{_AXES[right]} (km)")
     axes.set_ylabel(f"{_AXES[up]} (km)")
     return image
+
+
+def _extent(grid: Grid, right: int, up: int) -> tuple[float, ...]:
+    return tuple(
+        edge for axis in (right, up) for edge in (grid.origin[axis], grid.origin[axis] + grid.extent[axis])
+    )
+
+
+def plot_optical_depth(axes: Axes, grid: Grid, extinction: np.ndarray, largest: float | None = None) -> Any:
+    """Vertical optical depth of the columns, seen from above with north up. Returns the image."""
+    depth = extinction.sum(axis=2, dtype=float) * grid.spacing[2]
+    image = axes.imshow(
+        depth.T,
+        origin="lower",
+        extent=_extent(grid, 0, 1),
+        vmin=0.0,
+        vmax=largest,
+        cmap="magma",
+        interpolation="nearest",
+    )
+    axes.set_xlabel("x (km)")
+    axes.set_ylabel("y (km)")
+    return image
+
+
+def plot_maximum(axes: Axes, grid: Grid, extinction: np.ndarray, normal: int, largest: float | None = None) -> Any:
+    """The largest extinction along the axis `normal` (0, 1, 2): a maximum-intensity map. Returns the image."""
+    right, up = (axis for axis in range(3) if axis != normal)
+    image = axes.imshow(
+        extinction.max(axis=normal).T,
+        origin="lower",
+        extent=_extent(grid, right, up),
+        vmin=0.0,
+        vmax=largest,
+        cmap="viridis",
+        interpolation="nearest",
+    )
+    axes.set_xlabel(f"{_AXES[right]} (km)")
+    axes.set_ylabel(f"{_AXES[up]} (km)")
+    return image
+
+
+def plot_profile(
+    axes: Axes, grid: Grid, extinction: np.ndarray, effective_radius: np.ndarray | None = None
+) -> None:
+    """Height profiles of cloudy voxels: mean extinction, and mean effective radius (um) if known."""
+    cloudy = extinction > 0
+    count = cloudy.sum(axis=(0, 1))
+    mean = np.divide(extinction.sum(axis=(0, 1)), count, out=np.full(count.shape, np.nan), where=count > 0)
+    height = grid.centres(2)
+    lines = axes.plot(mean, height, color="tab:blue", label="mean extinction of cloudy voxels")
+    axes.set_xlim(0, None)
+    axes.set_ylim(grid.origin[2], grid.origin[2] + grid.extent[2])
+    axes.set_xlabel(EXTINCTION_LABEL)
+    axes.set_ylabel("z (km)")
+    if effective_radius is not None:
+        above = axes.twiny()
+        radius = np.where(cloudy, np.nan_to_num(effective_radius), 0.0).sum(axis=(0, 1))
+        mean_radius = np.divide(radius, count, out=np.full(count.shape, np.nan), where=count > 0)
+        lines += above.plot(mean_radius, height, color="tab:orange", label="mean effective radius")
+        above.set_xlim(0, None)
+        above.set_xlabel("effective radius (µm)")
+    axes.legend(handles=lines, loc="lower right", fontsize="small")
+
+
+def plot_cloud(
+    figure: Figure, grid: Grid, extinction: np.ndarray, effective_radius: np.ndarray | None = None
+) -> None:
+    """A cloud at a glance: optical depth from above, maxima from two sides, profiles."""
+    (above, profile), (south, east) = figure.subplots(2, 2)
+    figure.colorbar(plot_optical_depth(above, grid, extinction), ax=above, label="vertical optical depth")
+    plot_profile(profile, grid, extinction, effective_radius)
+    largest = float(extinction.max())
+    plot_maximum(south, grid, extinction, 1, largest)
+    image = plot_maximum(east, grid, extinction, 0, largest)
+    south.set_title("largest extinction along y")
+    east.set_title("largest extinction along x")
+    figure.colorbar(image, ax=[south, east], label=EXTINCTION_LABEL)
 
 
 def slice_indices(extinction: np.ndarray) -> list[tuple[int, int]]:

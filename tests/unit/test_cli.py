@@ -256,3 +256,29 @@ def test_report_of_a_moved_run_does_without_the_images(folder, rendered, capsys)
 
 def test_report_of_no_run_fails(folder, capsys):
     assert "no run was finished" in fails(capsys, "report", ".")
+
+
+def test_cloud_reads_changes_plots_and_writes(folder, capsys):
+    words = "cloud cloud.nc --crop z=.2: --pad x=2 --rotate 90 --coarsen 2 2 2 --tile 1 2 --output new.nc --png new.png"
+    assert main(words.split()) == 0
+    with xr.open_dataset("new.nc") as dataset:
+        assert dataset.extinction.shape == (3, 10, 2)
+        assert '"rotate": 90' in dataset.attrs["settings"] and dataset.attrs["source"].startswith("cloudtomo-cl")
+    assert Path("new.png").stat().st_size > 10_000 and "voxels                  3 x 10 x 2" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("cloud.nc --crop 0.2:0.4", "--crop '0.2:0.4' is not understood"),
+        ("cloud.nc --crop x=0:0.1", "no cloud is left"),
+        ("cloud.nc --shape 2 2 2", "--shape belongs to --generate"),
+        ("cloud.nc --effective-radius -1", "must be above 0"),
+        ("--generate cirrus --output new.nc", "stratocumulus"),
+        ("scene.toml", "is no cloud that can be read"),
+    ],
+)
+def test_cloud_that_cannot_be_writes_nothing(folder, capsys, arguments, message):
+    before = sorted(folder.iterdir())
+    assert message in fails(capsys, "cloud", *arguments.split())
+    assert sorted(folder.iterdir()) == before
