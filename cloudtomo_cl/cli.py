@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cloudtomo_cl import cloud_command
-from cloudtomo_cl.errors import CloudtomoError
+from cloudtomo_cl.errors import CloudtomoError, Interrupted
+from cloudtomo_cl.stopping import ending_tidily
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
@@ -62,11 +63,15 @@ optional tables: [air], [surface] albedo, [boundary] horizontal = "open" or "per
 RECONSTRUCT = """\
 Recover the extinction from images, coarse to fine.
 
-The folder gets reconstruction.nc, history.csv (a line for each iteration, as it goes), settings.json and figures/."""
+The folder gets reconstruction.nc, history.csv (a line for each iteration, as it goes), settings.json and figures/.
+
+checkpoint.npz is kept up to date: after Ctrl-C, SIGTERM, a failure or a power cut the same command with --resume
+goes on, and ends with the same bits as a run that was never stopped."""
 
 RECONSTRUCT_EXAMPLES = """\
 example:
   cloudtomo reconstruct run.toml --seed 2 --output run
+  cloudtomo reconstruct run.toml --seed 2 --output run --resume
 
 run.toml:
   [measurements]
@@ -74,7 +79,8 @@ run.toml:
   [truth]                           # optional: tells the errors eps and delta, and nothing else
   file = "cloud.nc"
   [run]                             # optional
-  time_limit = 600.0                # s
+  time_limit = 600.0                # s, counted over all resumes
+  checkpoint_interval = 60.0        # s
 optional tables: [[stage]] (automatic otherwise), [prior], [optimizer], [grid]; and those of a
 scene ([sun], [cloud], [air], [surface], [boundary], [[view]]), each in place of the one that
 the images were made with."""
@@ -131,6 +137,9 @@ def parser() -> argparse.ArgumentParser:
     reconstruct.add_argument("run", type=Path, metavar="RUN.toml")
     reconstruct.add_argument("--seed", type=_seed, help="of the random numbers (default: [run] seed, or 0)")
     reconstruct.add_argument("--output", type=Path, required=True, metavar="DIR", help="the run folder")
+    reconstruct.add_argument(
+        "--resume", action="store_true", help="go on from the checkpoint in DIR (start, where there is none)"
+    )
 
     report = add("report", "make a run's figures again", REPORT, "example:\n  cloudtomo report run", quiet)
     report.add_argument("folder", type=Path, metavar="DIR", help="a run folder")
@@ -166,12 +175,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Only now: `cloudtomo --help` must not wait for OpenCL and netCDF.
         from cloudtomo_cl import commands
 
-        getattr(commands, command)(**options)
+        with ending_tidily():
+            getattr(commands, command)(**options)
+    except Interrupted as interrupted:
+        print(f"cloudtomo {command}: {interrupted}", file=sys.stderr)
+        return interrupted.status
     except CloudtomoError as error:
         print(f"cloudtomo {command}: {error}", file=sys.stderr)
         return EXIT_ERROR
     except MemoryError as error:
         print(f"cloudtomo {command}: not enough memory ({error}): choose fewer pixels or voxels", file=sys.stderr)
+        return EXIT_ERROR
+    except OSError as error:
+        # A disk, a terminal or a network drive that fails between the places that look for it.
+        print(f"cloudtomo {command}: {error}: check the disk, permissions and the space left", file=sys.stderr)
         return EXIT_ERROR
     except KeyboardInterrupt:
         print(f"cloudtomo {command}: interrupted", file=sys.stderr)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 import time
 from pathlib import Path
@@ -14,7 +15,7 @@ from rich.table import Table
 
 from cloudtomo_cl.cloud_command import cloud as cloud
 from cloudtomo_cl.device import Device, choose_device, list_devices
-from cloudtomo_cl.errors import DataError, SettingsError
+from cloudtomo_cl.errors import DataError, DeviceError, Interrupted, SettingsError
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.io import check_output
 from cloudtomo_cl.measurements import Measurements
@@ -105,16 +106,23 @@ def render(
 
 
 def reconstruct(
-    run: Path, seed: int | None, output: Path, device: str | None, quiet: bool, overwrite: bool
+    run: Path, seed: int | None, output: Path, resume: bool, device: str | None, quiet: bool, overwrite: bool
 ) -> None:
     """Reconstructs after a run file into a run folder."""
     from cloudtomo_cl.config import ReconstructSettings, read_reconstruct_settings, stored_scene
+    from cloudtomo_cl.inversion import IterationRecord, records
     from cloudtomo_cl.inversion import reconstruct as recover
     from cloudtomo_cl.progress import ReconstructionProgress, duration
     from cloudtomo_cl.runfolder import RunFolder
+    from cloudtomo_cl.stopping import StopRequest, exit_status
 
+    if resume and overwrite:
+        raise SettingsError("--resume goes on with a run and --overwrite discards it: give one of them")
     folder = RunFolder(output)
-    folder.check_new(overwrite)
+    resumed = folder.read_checkpoint() if resume else None
+    if resumed is None:
+        # Without a checkpoint there is nothing that a resume could lose.
+        folder.check_new(overwrite or resume)
     settings: ReconstructSettings = read_reconstruct_settings(run)
     measurements, stored = _read_measurements(settings.measurements.file)
     if settings.view is not None:
@@ -125,10 +133,20 @@ def reconstruct(
     scene = settings.scene(stored.get("scene", {}))
     truth = None if settings.truth is None else _read_truth(settings.truth.file, scene.grid)
     chosen = choose_device(device)
-    seed = settings.run.seed if seed is None else seed
-    mask = _carve(scene, measurements, chosen)
+    given_seed, seed = seed, settings.run.seed if seed is None else seed
     console = Console(quiet=quiet)
-    console.print(f"space carving keeps {mask.mean():.1%} of the voxels", highlight=False)
+    before: list[IterationRecord] = []
+    if resumed is None:
+        if resume:
+            console.print(f"{output} has no checkpoint: starting from the beginning", highlight=False, soft_wrap=True)
+        mask = _carve(scene, measurements, chosen)
+        console.print(f"space carving keeps {mask.mean():.1%} of the voxels", highlight=False)
+    else:
+        mask, before = resumed.mask, records(resumed)
+        where = f"stage {resumed.stage + 1}, iteration {resumed.iterations}"
+        console.print(f"going on from {where}, {duration(resumed.seconds)}", highlight=False)
+        if resumed.device != chosen.name:
+            console.print(f"the run was on {resumed.device}: on {chosen.name} bits may differ", soft_wrap=True)
     folder.begin(
         {
             "settings": settings.model_dump(mode="json", exclude={"measurements", "truth"}),
@@ -142,10 +160,16 @@ def reconstruct(
             "seed": seed,
             "device": describe_device(chosen),
             "versions": versions(),
-        }
+        },
+        before or None,
     )
+    again = _resume_command(run, given_seed, output, device)
     try:
-        with ReconstructionProgress(console, settings.run.time_limit) as show:
+        with (
+            ReconstructionProgress(console, settings.run.time_limit) as show,
+            StopRequest().listening() as stop,
+        ):
+            show.go_on(before)
 
             def record(iteration: Any) -> None:
                 folder.append(iteration)
@@ -163,16 +187,35 @@ def reconstruct(
                 time_limit=settings.run.time_limit,
                 truth=truth,
                 callback=record,
+                checkpoint=folder.checkpoint_file,
+                checkpoint_interval=settings.run.checkpoint_interval,
+                resume=resumed,
+                stop=stop,
             )
+    except (DeviceError, DataError) as error:
+        # Of the device, or of the disk: both may be in order tomorrow.
+        if folder.checkpoint_file.is_file() and (folder.started or isinstance(error, DeviceError)):
+            raise type(error)(f"{error}\nwhat was reached is kept in {folder.checkpoint_file}: {again}") from None
+        raise
     finally:
         folder.close()
     last = result.history[-1]
+    where = f"stage {last.stage + 1} of {last.stages}, iteration {last.iteration + 1}"
     folder.write_reconstruction(
         result.grid,
         result.extinction,
         result.mask,
-        {"source": source(), "seed": seed, "photons": float(last.photons), "seconds": last.seconds},
+        {
+            "source": source(),
+            "seed": seed,
+            "photons": float(last.photons),
+            "seconds": last.seconds,
+            "state": f"interrupted in {where}" if stop.signal_number else "complete",
+        },
     )
+    if stop.signal_number is not None:
+        status = exit_status(stop.signal_number)
+        raise Interrupted(f"interrupted in {where}; what was reached is in {output}: {again}", status)
     report(output, quiet=True)
     console.print(f"{last.photons:.3g} photons in {duration(last.seconds)} on {chosen.name}", soft_wrap=True)
     if truth is None:
@@ -185,6 +228,15 @@ def reconstruct(
             f"eps {epsilon(result.extinction, truth):.3f}  delta {delta(result.extinction, truth):+.1%}  {output}"
         )
     console.print(summary, highlight=False, soft_wrap=True)
+
+
+def _resume_command(run: Path, seed: int | None, output: Path, device: str | None) -> str:
+    """How to go on, as a line to copy."""
+    words = ["cloudtomo", "reconstruct", str(run), "--output", str(output), "--resume"]
+    for name, value in (("--seed", seed), ("--device", device)):
+        if value is not None:
+            words += [name, str(value)]
+    return f"go on with\n  {shlex.join(words)}"
 
 
 def _carve(scene: Scene, measurements: Measurements, device: Device) -> np.ndarray:

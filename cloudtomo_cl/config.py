@@ -20,7 +20,7 @@ from cloudtomo_cl.errors import SettingsError
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.optimizer import Optimizer
 from cloudtomo_cl.prior import Prior
-from cloudtomo_cl.scene import Air, Boundary, Cloud, Positive, Scene, Sun, Surface
+from cloudtomo_cl.scene import Air, Boundary, Cloud, NotNegative, Positive, Scene, Sun, Surface
 from cloudtomo_cl.sensors import View
 from cloudtomo_cl.stages import Stage
 
@@ -64,11 +64,13 @@ class Run:
     Attributes
     ----------
     seed : of the random numbers
-    time_limit : s; no limit by default
+    time_limit : s, over all resumes; no limit by default
+    checkpoint_interval : s between checkpoints within a stage; more, where the disk is slow
     """
 
     seed: Seed = 0
     time_limit: Positive | None = None
+    checkpoint_interval: NotNegative = 60.0
 
 
 class RenderSettings(BaseModel):

@@ -23,3 +23,11 @@ class DataError(CloudtomoError):
 
 class TransportError(CloudtomoError):
     """A rendered radiance or a gradient is not finite, or paths were lost."""
+
+
+class Interrupted(CloudtomoError):
+    """Somebody asked a run to stop, and it did, with all it had on the disk; the command line exits with `status`."""
+
+    def __init__(self, text: str, status: int) -> None:
+        super().__init__(text)
+        self.status = status

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from cloudtomo_cl.carving import coarsened, pixels_that_see
+from cloudtomo_cl.checkpoint import Checkpoint, Checkpoints, identity_of, read_checkpoint, rows
 from cloudtomo_cl.device import Device, choose_device
 from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.grid import Grid, resample_in_mask
@@ -84,6 +87,10 @@ def reconstruct(
     time_limit: float | None = None,
     truth: np.ndarray | None = None,
     callback: Callable[[IterationRecord], None] | None = None,
+    checkpoint: str | os.PathLike[str] | Callable[[Checkpoint], None] | None = None,
+    checkpoint_interval: float = 60.0,
+    resume: str | os.PathLike[str] | Checkpoint | None = None,
+    stop: Callable[[], bool] | None = None,
 ) -> Reconstruction:
     """Recovers extinction from images.
 
@@ -93,14 +100,22 @@ def reconstruct(
     measurements : images and views
     stages, prior, optimizer : by default `automatic_stages(scene.grid)`, `Prior()`, `Optimizer()`
     mask : bool on the scene's grid, where cloud may be (see `carving.carve`); all by default
-    time_limit : seconds after which the run ends with what it has
+    time_limit : seconds after which the run ends with what it has; those before a resume count
     truth : extinction in km^-1 on the scene's grid, for the history's errors only
     callback : called after every iteration
+    checkpoint : a file (.npz) that is kept up to date, or a function that takes each checkpoint:
+        after the first iteration, at the ends of stages and of the run, and in between
+    checkpoint_interval : seconds between checkpoints within a stage
+    resume : a checkpoint of a run with the same arguments, to go on from. The result has the
+        same bits as if the run had never been stopped, but for the history's seconds
+    stop : asked after every iteration; True ends the run with what it has, checkpoint included
 
     Raises
     ------
-    DataError : an array does not fit the scene's grid, or no pixel sees the mask
-    TransportError : a radiance or a gradient is not finite
+    DataError : an array does not fit the scene's grid, no pixel sees the mask, the checkpoint
+        is of another run (the error names what differs) or cannot be written
+    TransportError : a radiance, a gradient or an extinction is not finite, or diverged
+    DeviceError : the device failed or has not enough memory
     """
     device, prior, optimizer = device or choose_device(), prior or Prior(), optimizer or Optimizer()
     stages = tuple(stages or automatic_stages(scene.grid))
@@ -110,13 +125,26 @@ def reconstruct(
             raise DataError(f"{name} has shape {array.shape}, the grid {scene.grid.shape}")
     if not mask.any():
         raise DataError("the mask is empty: no voxel may hold cloud; are images, views and surface right?")
-    run = _Run(scene, stages, mask, truth, seed, time_limit, callback)
+    identity = identity_of(scene, measurements, stages, prior, optimizer, mask, truth, seed)
+    run = _Run(scene, stages, mask, truth, seed, time_limit, callback, stop, identity, device.name)
+    run.checkpoints = Checkpoints(checkpoint, checkpoint_interval)
     extinction = np.full(stages[0].grid, optimizer.start)
-    for index in range(len(stages)):
+    first = 0
+    if resume is not None:
+        first = run.restore(resume if isinstance(resume, Checkpoint) else read_checkpoint(resume))
+    for index in range(first, len(stages)):
         extinction = run.descend(index, extinction, measurements, prior, optimizer, device)
         if run.is_over:
             break
     return Reconstruction(scene.grid, run.on_finest_grid(extinction), mask, run.history, run.stage_ends)
+
+
+def records(checkpoint: Checkpoint) -> list[IterationRecord]:
+    """The history of a checkpoint. DataError if another version made it."""
+    try:
+        return [IterationRecord(**row) for row in checkpoint.history]
+    except TypeError:
+        raise DataError("the checkpoint was made by another version: go on with that, or start a new run") from None
 
 
 class _Run:
@@ -131,6 +159,9 @@ class _Run:
         seed: int,
         time_limit: float | None,
         callback: Callable[[IterationRecord], None] | None,
+        stop: Callable[[], bool] | None,
+        identity: dict[str, Any],
+        device_name: str,
     ) -> None:
         self.scene = scene
         self.stages = stages
@@ -139,6 +170,12 @@ class _Run:
         self.seed = seed
         self.time_limit = time_limit
         self.callback = callback
+        self.stop = stop
+        self.identity = identity
+        self.device_name = device_name
+        self.checkpoints = Checkpoints(None, 0.0)
+        self.resumed: Checkpoint | None = None
+        self._stopped = False
         self.history: list[IterationRecord] = []
         self.stage_ends: list[float] = []
         self.photons = 0
@@ -150,7 +187,18 @@ class _Run:
 
     @property
     def is_over(self) -> bool:
-        return self.time_limit is not None and self.seconds >= self.time_limit
+        self._stopped = self._stopped or (self.stop is not None and self.stop())
+        return self._stopped or (self.time_limit is not None and self.seconds >= self.time_limit)
+
+    def restore(self, checkpoint: Checkpoint) -> int:
+        """Goes on from a checkpoint; returns its stage."""
+        checkpoint.check(self.identity)
+        self.history = records(checkpoint)
+        self.resumed = checkpoint
+        self.stage_ends = list(checkpoint.stage_ends)
+        self.photons = self.history[-1].photons if self.history else 0
+        self.start = time.perf_counter() - checkpoint.seconds
+        return checkpoint.stage
 
     def on_finest_grid(self, extinction: np.ndarray) -> np.ndarray:
         return resample_in_mask(extinction, self.mask).astype(np.float32)
@@ -176,31 +224,76 @@ class _Run:
         descent = Descent(optimizer, resample_in_mask(extinction, mask), mask, device)
         costs: list[float] = []
         errors: list[float] = []
-        for iteration in range(stage.iterations):
+        iteration = 0
+        resumed, self.resumed = self.resumed, None
+        if resumed is not None:
+            descent.restore(resumed.part("descent"))
+            residual.restore(resumed.part("residual"))
+            records = [record for record in self.history if record.stage == index]
+            costs = [record.cost + record.prior for record in records]
+            errors = [record.cost_standard_error for record in records]
+            iteration = resumed.iterations
+
+        def checkpoint() -> Checkpoint:
+            return self._checkpoint(index, iteration, descent, residual)
+
+        while iteration < stage.iterations and not has_settled(costs, errors, stage.window):
+            if self.history and self.is_over:
+                break
             # Never the same random numbers twice in a run, nor those of a render, which has key 0.
             key = len(self.history) + 1
             rendering = operator.render(descent.extinction, samples, self.seed, key, keep_paths=True)
             cost, error = residual.cost(rendering.halves)
             gradient = operator.gradient(rendering, residual.adjoint(rendering.halves))
             prior_value, prior_gradient = prior_operator.value_and_gradient(descent.extinction, stage.prior_weight)
-            descent.step(gradient + prior_gradient)
+            gradient = gradient + prior_gradient
+            self._check_gradient(index, iteration, gradient)
+            descent.step(gradient)
             self._check_step(index, iteration, descent, scene.grid)
             self.photons += samples * len(seen.pixels)
             costs.append(cost + prior_value)
             errors.append(error)
             self._record(index, iteration, cost, error, prior_value, descent)
-            if self.is_over or has_settled(costs, errors, stage.window):
-                break
+            iteration += 1
+            self.checkpoints.take(len(self.history) == 1, index, iteration, checkpoint)
+        self.checkpoints.take(True, index, iteration, checkpoint)
         self.stage_ends.append(self.seconds)
         return descent.estimate()
 
+    def _checkpoint(self, index: int, iterations: int, descent: Descent, residual: LaggedResidual) -> Checkpoint:
+        parts = {"descent": descent.state(), "residual": residual.state()}
+        state = {f"{part}.{name}": array for part, arrays in parts.items() for name, array in arrays.items()}
+        return Checkpoint(
+            identity=self.identity,
+            device=self.device_name,
+            stage=index,
+            iterations=iterations,
+            seconds=self.seconds,
+            stage_ends=list(self.stage_ends),
+            history=rows(self.history),
+            state={**state, "mask": self.mask},
+        )
+
+    def _check_gradient(self, index: int, iteration: int, gradient: Any) -> None:
+        """The step's projection would turn a gradient that is no number into the floor, unseen."""
+        wrong = ~np.isfinite(gradient.get())
+        if wrong.any():
+            voxel = tuple(int(i) for i in np.argwhere(wrong)[0])
+            raise TransportError(
+                f"the gradient is not finite at voxel {voxel} of the grid {wrong.shape}, in stage {index}, "
+                f"iteration {iteration} (seed {self.seed}): the device or its driver is at fault, or the optics are "
+                "extreme; try another device"
+            )
+
     def _check_step(self, index: int, iteration: int, descent: Descent, grid: Grid) -> None:
         """Stops a descent that runs away, before a render of it takes for ever."""
-        depth = descent.largest() * max(grid.spacing)
-        if not depth < _LARGEST_VOXEL_DEPTH:
+        depth = descent.extinction.get() * max(grid.spacing)
+        wrong = ~(depth < _LARGEST_VOXEL_DEPTH)
+        if wrong.any():
+            voxel = tuple(int(i) for i in np.argwhere(wrong)[0])
             raise TransportError(
-                f"the extinction diverged in stage {index}, iteration {iteration}: a voxel has the optical depth "
-                f"{depth:.3g}; choose a smaller step of the optimizer"
+                f"the extinction diverged in stage {index}, iteration {iteration}: voxel {voxel} of the grid "
+                f"{grid.shape} has the optical depth {depth[voxel]:.3g}; choose a smaller step of the optimizer"
             )
 
     def _record(

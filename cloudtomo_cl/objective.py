@@ -60,6 +60,15 @@ class LaggedResidual:
         self._variance = np.zeros_like(measured)
         self._iterations = 0
 
+    def state(self) -> dict[str, np.ndarray]:
+        """What is remembered of the iterations so far."""
+        return {"mean": self._mean.copy(), "variance": self._variance.copy(), "iterations": np.array(self._iterations)}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Goes on from what `state` gave."""
+        self._mean, self._variance = state["mean"].copy(), state["variance"].copy()
+        self._iterations = int(state["iterations"])
+
     def cost(self, halves: np.ndarray) -> tuple[float, float]:
         """F and its standard error, from halves of shape (pixels, 2)."""
         residuals = halves - self.measured[:, None]

@@ -77,9 +77,19 @@ class Descent:
         """The running mean of the extinction, km^-1."""
         return self._mean.get()
 
-    def largest(self) -> float:
-        """The largest extinction, km^-1; nan if any is."""
-        return float(self.extinction.get().max())
+    def state(self) -> dict[str, np.ndarray]:
+        """All that a step changes, as arrays on the host."""
+        moments = {f"moment{order}": moment.get() for order, moment in enumerate(self._moments)}
+        own = {"extinction": self.extinction.get(), "mean": self._mean.get(), "steps": np.array(self.steps)}
+        return own | moments
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Goes on from what `state` gave."""
+        self.extinction.set(state["extinction"])
+        self._mean.set(state["mean"])
+        for order, moment in enumerate(self._moments):
+            moment.set(state[f"moment{order}"])
+        self.steps = int(state["steps"])
 
     def step(self, gradient: Any) -> None:
         """One step against a gradient on the device, cost per km^-1."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
@@ -63,6 +63,7 @@ class ReconstructionProgress:
         self._console = console
         self._time_limit = time_limit
         self._last: IterationRecord | None = None
+        self._printed: IterationRecord | None = None
         self._stage_start = 0.0
         self._shown = time.monotonic()
         self._bar: Progress | None = None
@@ -82,6 +83,12 @@ class ReconstructionProgress:
         if self._last is not None:
             self._line(self._last)
 
+    def go_on(self, before: Sequence[IterationRecord]) -> None:
+        """Takes the iterations of a run that was interrupted, for the pace of the present stage."""
+        if before:
+            self._last = self._printed = before[-1]
+            self._stage_start = max((old.seconds for old in before if old.stage < self._last.stage), default=0.0)
+
     def __call__(self, record: IterationRecord) -> None:
         if self._last is not None and record.stage != self._last.stage:
             self._line(self._last)
@@ -95,7 +102,7 @@ class ReconstructionProgress:
 
     def _line(self, record: IterationRecord) -> None:
         """A line that stays; not twice for the same iteration."""
-        if self._bar is None and record is getattr(self, "_printed", None):
+        if self._bar is None and record is self._printed:
             return
         self._printed = record
         self._shown = time.monotonic()
