@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from cloudtomo_cl import reference
+from cloudtomo_cl import reference, reference_prior
 from cloudtomo_cl.grid import Grid
 
 SHAPE = (4, 5, 6)
@@ -22,41 +22,41 @@ def test_the_smoothness_matrix_is_a_convolution_with_nearest_edges(extinction):
     kernel = np.full((3, 3, 3), 1 / 26)
     kernel[1, 1, 1] = -1
     expected = ndimage.convolve(extinction, kernel, mode="nearest")
-    found = reference.smoothness_matrix(SHAPE) @ extinction.ravel()
+    found = reference_prior.smoothness_matrix(SHAPE) @ extinction.ravel()
     np.testing.assert_allclose(found.reshape(SHAPE), expected, atol=1e-12)
 
 
 def test_the_vertical_matrix_is_numpys_gradient(extinction):
     expected = np.gradient(extinction, axis=2)
-    found = reference.vertical_matrix(SHAPE) @ extinction.ravel()
+    found = reference_prior.vertical_matrix(SHAPE) @ extinction.ravel()
     np.testing.assert_allclose(found.reshape(SHAPE), expected, atol=1e-12)
 
 
 def test_one_layer_has_no_vertical_derivative():
-    assert reference.vertical_matrix((2, 2, 1)).nnz == 0
+    assert reference_prior.vertical_matrix((2, 2, 1)).nnz == 0
 
 
 @pytest.mark.parametrize("mu1, mu2", [(0.7, 0.0), (0.0, 1.3), (0.7, 1.3)])
 def test_the_priors_gradient_is_that_of_finite_differences(extinction, random, mu1, mu2):
     # The indicator jumps where a voxel crosses the threshold: only voxels beside it are moved.
     change = random.normal(size=SHAPE) * (extinction > 0.02)
-    _, gradient = reference.prior_value_and_gradient(extinction, mu1, mu2)
+    _, gradient = reference_prior.prior_value_and_gradient(extinction, mu1, mu2)
     step = 1e-5
-    upper, _ = reference.prior_value_and_gradient(extinction + step * change, mu1, mu2)
-    lower, _ = reference.prior_value_and_gradient(extinction - step * change, mu1, mu2)
+    upper, _ = reference_prior.prior_value_and_gradient(extinction + step * change, mu1, mu2)
+    lower, _ = reference_prior.prior_value_and_gradient(extinction - step * change, mu1, mu2)
     assert np.sum(gradient * change) == pytest.approx((upper - lower) / (2 * step), rel=1e-6)
 
 
 def test_the_prior_rewards_growth_with_height():
     growing = np.broadcast_to(np.arange(1.0, 7.0), SHAPE)
-    up, _ = reference.prior_value_and_gradient(growing, 0.0, 1.0)
-    down, _ = reference.prior_value_and_gradient(growing[..., ::-1], 0.0, 1.0)
+    up, _ = reference_prior.prior_value_and_gradient(growing, 0.0, 1.0)
+    down, _ = reference_prior.prior_value_and_gradient(growing[..., ::-1], 0.0, 1.0)
     assert up < 0 < down
 
 
 def test_the_prior_leaves_out_voxels_at_or_below_the_threshold():
     column = np.array([[[0.0, 0.01, 0.5]]])
-    value, _ = reference.prior_value_and_gradient(column, 0.0, 1.0)
+    value, _ = reference_prior.prior_value_and_gradient(column, 0.0, 1.0)
     assert value == pytest.approx(-np.tanh(0.49 / 5) * np.tanh(0.5 / 20))
 
 
