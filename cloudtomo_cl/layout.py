@@ -19,11 +19,19 @@ STRUCTS: dict[str, np.dtype] = {
             ("spacing", np.float32, 3),  # km
             ("base_height", np.float32),  # of the domain above the ground, km
             ("sun", np.float32, 3),  # unit vector towards the sun
-            ("asymmetry", np.float32),  # g of the droplets' Henyey-Greenstein phase function
-            ("droplet_albedo", np.float32),  # single-scattering albedo
+            ("forward_g", np.float32),  # the droplets' double Henyey-Greenstein phase function
+            ("backward_g", np.float32),
+            ("forward_fraction", np.float32),
+            ("wide_g", np.float32),  # asymmetry of two scatterings by droplets
+            ("table_rows", np.int32),  # of the droplets' phase table; 0: they have none
+            ("table_nodes", np.int32),
+            ("air_layers", np.int32),  # from the ground to the atmosphere's top
+            ("air_layers_below", np.int32),  # those below the grid
+            ("droplet_albedo", np.float32),  # single-scattering albedo, without a table
             ("air_albedo", np.float32),  # single-scattering albedo
             ("surface_albedo", np.float32),
             ("side_flights", np.int32),  # 0: the plain local estimate
+            ("truncation", np.float32),  # largest local estimate, sr^-1
         ]
     ),
     "View": np.dtype(
@@ -45,12 +53,34 @@ STRUCTS: dict[str, np.dtype] = {
     ),
 }
 
+# Where the weight of a path ends. KILLED_VARIANCE and TRUNCATED (radiance, sr^-1) stand beside the balance.
+FATES = (
+    "TOP", "BOTTOM", "SIDES", "MISSED", "ABSORBED", "SURFACE", "KILLED", "LOST",
+    "LAUNCHED", "KILLED_VARIANCE", "TRUNCATED",
+)  # fmt: skip
+# What photons leave behind in the columns of the grid.
+FLUXES = ("REFLECTED", "DIRECT", "DIFFUSE", "ABSORBED")
+WEIGHT_UNIT = 2.0**24
+ACCOUNT_COPIES = 64
+
+
+def _constants() -> str:
+    """The names that both sides share, in OpenCL C."""
+    lines = [
+        f"typedef enum {{ {', '.join(f'{kind.upper()}_{name}' for name in names)} }} {kind};"
+        for kind, names in (("Fate", FATES), ("Flux", FLUXES))
+    ]
+    lines.append(f"#define FATES {len(FATES)}")
+    lines.append(f"#define WEIGHT_UNIT {WEIGHT_UNIT:.1f}f")
+    lines.append(f"#define ACCOUNT_COPIES {ACCOUNT_COPIES}")
+    return "\n".join(lines)
+
 
 def declarations(device: Any) -> str:
-    """OpenCL C declarations of all structs, checked against the device's own layout."""
+    """OpenCL C declarations of all that both sides share; structs are checked against the device's own layout."""
     from pyopencl.tools import get_or_register_dtype, match_dtype_to_c_struct
 
-    parts = []
+    parts = [_constants()]
     for name, dtype in STRUCTS.items():
         matched, declaration = match_dtype_to_c_struct(device, name, dtype)
         get_or_register_dtype(name, matched)

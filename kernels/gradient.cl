@@ -6,7 +6,8 @@
 __kernel void replay_paths(__constant Scene *scene, const __global View *views,
                            const __global float *rays,
                            const __global uint2 *pixels,
-                           const __global float *extinction, const __global float *air,
+                           const __global float *extinction, const __global float *table_row,
+                           const __global float *profiles,
                            const uint pixel_count, const uint first_sample, const uint path_count,
                            const uint seed, const uint iteration,
                            const __global float *path_radiance, /* from render_paths, sr^-1 */
@@ -20,8 +21,7 @@ __kernel void replay_paths(__constant Scene *scene, const __global View *views,
     const uint pixel_in_list = path % pixel_count;
     const float2 halves = adjoint[pixel_in_list];
     Record record;
-    record.radiance = 0.0f;
-    record.lost = false;
+    record_begin(&record);
     record.total = path_radiance[path];
     record.adjoint = sample & 1u ? halves.y : halves.x;
     record.gradient = gradient;
@@ -29,6 +29,6 @@ __kernel void replay_paths(__constant Scene *scene, const __global View *views,
         return;
     const uint2 pixel = pixels[pixel_in_list];
     const SampleKey key = {seed, iteration, pixel.y, pixel.x, sample};
-    const Medium medium = {scene, extinction, air};
+    const Medium medium = make_medium(scene, extinction, table_row, profiles);
     trace_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &record);
 }

@@ -55,11 +55,10 @@ inline void clip_axis(float position, float direction, float spacing, float coun
     *far = fmin(*far, fmax(lower, upper));
 }
 
-/* Moves a ray to where it enters the domain; false if it never does. */
-inline bool enter_domain(const __constant Scene *scene, Ray *ray)
+/* Moves a ray that is not inside to where it enters the domain, `distance` km ahead; false if it
+ * never does. */
+inline bool enter_domain(const __constant Scene *scene, Ray *ray, float *distance)
 {
-    if (ray->inside)
-        return true;
     const float3 spacing = grid_spacing(scene);
     const float3 count = convert_float3(grid_shape(scene));
     float near = 0.0f, far = INFINITY;
@@ -78,6 +77,7 @@ inline bool enter_domain(const __constant Scene *scene, Ray *ray)
     ray->position = clamp(position, (float3)(0.0f), count);
     ray->voxel = min(convert_int3(ray->position), grid_shape(scene) - 1);
     ray->inside = true;
+    *distance = near;
     return true;
 }
 

@@ -1,10 +1,13 @@
-/* The random walk: backward Monte Carlo with local estimates.
+/* The random walk.
  *
- * One piece of code serves rendering and replay. Compiled with CLOUDTOMO_REPLAY, the same
- * path is walked again with the same random numbers, its total radiance known, and every
- * crossing and collision deposits its share of the gradient: a crossing of voxel v over l km
- * on the way to radiance R adds -l R, a collision with a droplet there adds R / extinction
- * (the supplement's Eqs. 13, 17, 18 with sums swapped; path replay, Vicini et al. 2021).
+ * One piece of code serves rendering, replay and fluxes. Rendered, a path starts in a camera and
+ * every interaction adds a local estimate of the sunlight (backward Monte Carlo). Compiled with
+ * CLOUDTOMO_REPLAY, the same path is walked again with the same random numbers, its total
+ * radiance known, and every crossing and collision deposits its share of the gradient: a crossing
+ * of voxel v over l km on the way to radiance R adds -l R, a collision with a droplet there adds
+ * R / extinction (the supplement's Eqs. 13, 17, 18 with sums swapped; path replay, Vicini et al.
+ * 2021). Compiled with CLOUDTOMO_FLUX, the path is a photon that starts in the sun; no local
+ * estimates are made, and what it leaves behind is tallied by column.
  *
  * Radiances inside a path are for a sun of irradiance 1; the host scales them.
  */
@@ -12,14 +15,9 @@
 #define CLOUDTOMO_PATH_H
 
 #include "rng.h"
-#include "grid.h"
-#include "phase.h"
 #include "camera.h"
-#include "accumulate.h"
+#include "flight.h"
 
-/* A voxel's faces that one flight may cross before the path is given up as lost: only a ray
- * that is horizontal, or all but, in a periodic and empty layer gets there. */
-#define CROSSINGS_LIMIT (1 << 18)
 /* Paths lighter than this are continued with probability weight / PATH_ROULETTE_WEIGHT. */
 #define PATH_ROULETTE_WEIGHT 0.1f
 /* Side flights aimed at the sun: expected number per unit of weight x phase function (sr),
@@ -30,133 +28,10 @@
 #define SIDE_FLIGHT_MOST 6.0f
 #define LOCAL_ESTIMATE_ROULETTE 0.03f
 
-typedef enum { PARTICLE_DROPLET, PARTICLE_MOLECULE, PARTICLE_SURFACE } Particle;
-
-typedef struct {
-    const __constant Scene *scene;
-    const __global float *extinction; /* droplets, km^-1, [x][y][z] */
-    const __global float *air;        /* molecules, km^-1, [z] */
-} Medium;
-
-/* What a path has gathered, and in a replay what it is to deposit. */
-typedef struct {
-    float radiance; /* local estimates so far, sr^-1 */
-    bool lost;
-#ifdef CLOUDTOMO_REPLAY
-    float total;    /* the whole path's radiance, sr^-1 */
-    float adjoint;  /* derivative of the cost with respect to this path's radiance, scaled */
-    volatile __global Accumulator *gradient;
-#endif
-} Record;
-
-/* How a flight ended. */
-typedef struct {
-    bool collided;
-    float depth;    /* optical depth flown through */
-    float droplets; /* extinction where it collided, km^-1 */
-    float air;
-    int index;      /* voxel where it collided */
-} Flight;
-
-#ifdef CLOUDTOMO_REPLAY
-/* Radiance that this path has still to gather; rounding counts as nothing. */
-inline float remaining(const Record *record)
-{
-    const float rest = record->total - record->radiance;
-    return rest > 4.0f * FLT_EPSILON * record->total ? rest : 0.0f;
-}
-inline void deposit(Record *record, int index, float value)
-{
-    accumulate(record->gradient + index, record->adjoint * value);
-}
-#define DEPOSIT_CROSSING(index, length, carried) \
-    if ((carried) != 0.0f) deposit(record, index, -(length) * (carried))
-#define DEPOSIT_COLLISION(index, extinction, carried) \
-    if ((carried) != 0.0f) deposit(record, index, (carried) / (extinction))
-#else
-inline float remaining(const Record *record) { return 0.0f; }
-#define DEPOSIT_CROSSING(index, length, carried)
-#define DEPOSIT_COLLISION(index, extinction, carried)
-#endif
-
-/* Flies along the ray until it has crossed the optical depth `reach` (a collision) or left
- * the domain; moves the ray to the collision. `carried` is the radiance that depends on this
- * flight, sr^-1. */
-inline Flight fly(const Medium *medium, Ray *ray, float reach, float carried, Record *record)
-{
-    const __constant Scene *scene = medium->scene;
-    Flight flight = {false, 0.0f, 0.0f, 0.0f, 0};
-    if (!enter_domain(scene, ray))
-        return flight;
-    VoxelWalk walk = walk_begin(scene, ray);
-    for (int crossing = 0; crossing < CROSSINGS_LIMIT; ++crossing) {
-        const float exit = walk_exit(&walk);
-        const float length = exit - walk.distance;
-        const float droplets = medium->extinction[walk.index];
-        const float air = medium->air[walk.voxel.z];
-        const float extinction = droplets + air;
-        const float depth = flight.depth + extinction * length;
-        if (depth >= reach) {
-            const float part = fmin((reach - flight.depth) / extinction, length);
-            DEPOSIT_CROSSING(walk.index, part, carried);
-            move_to_walk(scene, ray, &walk, walk.distance + part);
-            flight.collided = true;
-            flight.depth = reach;
-            flight.droplets = droplets;
-            flight.air = air;
-            flight.index = walk.index;
-            return flight;
-        }
-        DEPOSIT_CROSSING(walk.index, length, carried);
-        flight.depth = depth;
-        if (!walk_advance(scene, &walk, exit)) {
-            ray->position += exit * ray->direction / grid_spacing(scene);
-            ray->inside = false;
-            return flight;
-        }
-    }
-    record->lost = true;
-    ray->inside = false;
-    return flight;
-}
-
-/* The density (sr^-1) of scattering from direction `from` into `to`; for a Lambertian
- * surface, the density of its reflection. */
-inline float scatter_density(const __constant Scene *scene, Particle particle, float3 from, float3 to)
-{
-    switch (particle) {
-    case PARTICLE_DROPLET: return henyey_greenstein(dot(from, to), scene->asymmetry);
-    case PARTICLE_MOLECULE: return rayleigh(dot(from, to));
-    default: return fmax(to.z, 0.0f) * ONE_OVER_PI;
-    }
-}
-
-inline float3 sample_scatter(const __constant Scene *scene, Particle particle, float3 from, float2 u)
-{
-    switch (particle) {
-    case PARTICLE_DROPLET:
-        return direction_around(from, sample_henyey_greenstein(u.x, scene->asymmetry), u.y);
-    case PARTICLE_MOLECULE: return direction_around(from, sample_rayleigh(u.x), u.y);
-    default: return direction_around((float3)(0.0f, 0.0f, 1.0f), sqrt(u.x), u.y);
-    }
-}
-
-inline float3 sun_direction(const __constant Scene *scene)
-{
-    return (float3)(scene->sun[0], scene->sun[1], scene->sun[2]);
-}
-
-/* Which particle a flight met, and its single-scattering albedo. */
-inline Particle choose_particle(const __constant Scene *scene, const Flight *flight, float u, float *albedo)
-{
-    const bool droplet = u * (flight->droplets + flight->air) < flight->droplets;
-    *albedo = droplet ? scene->droplet_albedo : scene->air_albedo;
-    return droplet ? PARTICLE_DROPLET : PARTICLE_MOLECULE;
-}
-
+#ifndef CLOUDTOMO_FLUX
 /* Radiance of the sunlight that reaches the ray's position: weight (sr^-1) times the
  * transmittance to the sun. A threshold above 0 (sr^-1) plays a roulette that ends walks
- * which would bring less; the mean is kept. */
+ * which would bring less; the mean is kept. Beyond the scene's truncation it is cut. */
 inline float local_estimate(const Medium *medium, const Ray *at, float weight, float threshold, float u,
                             Record *record)
 {
@@ -167,14 +42,18 @@ inline float local_estimate(const Medium *medium, const Ray *at, float weight, f
     ray.direction = sun_direction(medium->scene);
     const float reach = threshold > 0.0f ? log(weight / least) : INFINITY;
     const Flight flight = fly(medium, &ray, reach, 0.0f, record);
-    return flight.collided ? 0.0f : fmax(weight * exp(-flight.depth), threshold);
+    const float radiance = flight.collided ? 0.0f : fmax(weight * exp(-flight.depth), threshold);
+    const float kept = fmin(radiance, medium->scene->truncation);
+    record->removed += radiance - kept;
+    return kept;
 }
 
-/* In a replay: deposits the crossings of the way to the sun. */
+/* In a replay: deposits the crossings of the way to the sun. A truncated radiance does not
+ * depend on them. */
 inline void deposit_local_estimate(const Medium *medium, const Ray *at, float radiance, Record *record)
 {
 #ifdef CLOUDTOMO_REPLAY
-    if (radiance == 0.0f)
+    if (radiance == 0.0f || radiance >= medium->scene->truncation)
         return;
     Ray ray = *at;
     ray.direction = sun_direction(medium->scene);
@@ -189,17 +68,15 @@ inline void deposit_local_estimate(const Medium *medium, const Ray *at, float ra
 inline void side_flights(const Medium *medium, const Ray *at, Particle particle, float weight, float count,
                          const SampleKey *key, uint event, float u, Record *record)
 {
-    const __constant Scene *scene = medium->scene;
-    const float3 sun = sun_direction(scene);
+    const float3 sun = sun_direction(medium->scene);
     const uint flights = (uint)(count + u);
     for (uint n = 0; n < flights; ++n) {
         const uint block = event * BLOCKS_PER_EVENT + BLOCK_SIDE + 2u * n;
         const float4 v = uniforms(key, block);
-        const float roulette = uniforms(key, block + 1u).x;
+        const float2 w = uniforms(key, block + 1u).xy;
         Ray ray = *at;
-        ray.direction = direction_around(sun, sample_henyey_greenstein(v.z, scene->asymmetry), v.w);
-        const float density = scatter_density(scene, particle, at->direction, ray.direction);
-        const float sun_density = henyey_greenstein(dot(ray.direction, sun), scene->asymmetry);
+        ray.direction = sample_around_sun(medium, v.zw);
+        const float density = scatter_density(medium, particle, at->direction, ray.direction);
         if (!(density > 0.0f))
             continue;
         const Ray start = ray;
@@ -208,11 +85,10 @@ inline void side_flights(const Medium *medium, const Ray *at, Particle particle,
         if (!flight.collided)
             continue;
         float albedo;
-        const Particle target = choose_particle(scene, &flight, v.y, &albedo);
-        const float estimate = weight * albedo * density
-                               * scatter_density(scene, target, ray.direction, sun)
-                               / (density + count * sun_density);
-        const float radiance = local_estimate(medium, &ray, estimate, LOCAL_ESTIMATE_ROULETTE, roulette, record);
+        const Particle target = choose_particle(medium, flight.droplets, flight.air, flight.index, v.y, w.y, &albedo);
+        const float estimate = weight * albedo * density * scatter_density(medium, target, ray.direction, sun)
+                               / (density + count * sun_density(medium, ray.direction));
+        const float radiance = local_estimate(medium, &ray, estimate, LOCAL_ESTIMATE_ROULETTE, w.x, record);
 #ifdef CLOUDTOMO_REPLAY
         if (radiance > 0.0f) {
             Ray again = start;
@@ -225,6 +101,7 @@ inline void side_flights(const Medium *medium, const Ray *at, Particle particle,
         record->radiance += radiance;
     }
 }
+#endif
 
 /* If the ray, outside of the domain, goes down to the surface: moves it there. */
 inline bool reach_surface(const __constant Scene *scene, Ray *ray)
@@ -238,7 +115,17 @@ inline bool reach_surface(const __constant Scene *scene, Ray *ray)
     return true;
 }
 
-/* Walks the whole path from its camera ray; record->radiance ends as its total. */
+/* How a path ended that met nothing any more. */
+inline Fate fate_of(const __constant Scene *scene, const Record *record, const Ray *ray, const Flight *flight)
+{
+    if (record->lost)
+        return FATE_LOST;
+    if (!scene->periodic && (flight->through_side || !flight->met_grid))
+        return flight->met_grid ? FATE_SIDES : FATE_MISSED;
+    return ray->direction.z > 0.0f ? FATE_TOP : FATE_BOTTOM;
+}
+
+/* Walks the whole path from its first ray; record->radiance ends as its total. */
 inline void trace_path(const Medium *medium, Ray ray, const SampleKey *key, Record *record)
 {
     const __constant Scene *scene = medium->scene;
@@ -253,42 +140,57 @@ inline void trace_path(const Medium *medium, Ray ray, const SampleKey *key, Reco
         Particle particle;
         float albedo;
         if (flight.collided) {
-            particle = choose_particle(scene, &flight, u.y, &albedo);
-            if (particle == PARTICLE_DROPLET)
+            particle = choose_particle(medium, flight.droplets, flight.air, flight.index, u.y, v.w, &albedo);
+            if (particle >= 0)
                 DEPOSIT_COLLISION(flight.index, flight.droplets, carried);
-        } else if (!record->lost && reach_surface(scene, &ray)) {
+            account_absorbed(record, weight * (1.0f - albedo));
+            tally_column(scene, record, FLUX_ABSORBED, ray.position, weight * (1.0f - albedo));
+        } else {
+            const Fate fate = fate_of(scene, record, &ray, &flight);
+            if (fate == FATE_TOP)
+                tally_column(scene, record, FLUX_REFLECTED, ray.position, weight);
+            if (fate == FATE_BOTTOM)
+                tally_column(scene, record, event == 1u ? FLUX_DIRECT : FLUX_DIFFUSE, ray.position, weight);
+            if (fate == FATE_LOST || !reach_surface(scene, &ray)) {
+                account_end(record, fate, weight);
+                return;
+            }
             particle = PARTICLE_SURFACE;
             albedo = scene->surface_albedo;
             own_share = 1.0f;
-        } else {
-            return;
+            account_surface(record, weight * (1.0f - albedo));
         }
         weight *= albedo;
 
-        const float towards_sun = scatter_density(scene, particle, ray.direction, sun);
+#ifndef CLOUDTOMO_FLUX
+        const float towards_sun = scatter_density(medium, particle, ray.direction, sun);
         /* What a camera sees directly, and the ground, stay free of the roulette's noise. */
         const bool roulette = scene->side_flights && event > 1u && particle != PARTICLE_SURFACE;
         const float radiance = local_estimate(medium, &ray, own_share * weight * towards_sun,
                                               roulette ? LOCAL_ESTIMATE_ROULETTE : 0.0f, v.x, record);
         deposit_local_estimate(medium, &ray, radiance, record);
         record->radiance += radiance;
+#endif
 
         if (weight < PATH_ROULETTE_WEIGHT) {
-            if (v.y * PATH_ROULETTE_WEIGHT >= weight)
+            const bool survives = v.y * PATH_ROULETTE_WEIGHT < weight;
+            account_roulette(record, weight, PATH_ROULETTE_WEIGHT, survives);
+            if (!survives) {
+                account_end(record, FATE_KILLED, weight);
                 return;
+            }
             weight = PATH_ROULETTE_WEIGHT;
         }
-        float count = 0.0f;
+        const float3 onward = sample_scatter(medium, particle, ray.direction, u.zw);
+#ifndef CLOUDTOMO_FLUX
         if (scene->side_flights) {
-            const float wide = henyey_greenstein(dot(ray.direction, sun), scene->asymmetry * scene->asymmetry);
-            count = clamp(SIDE_FLIGHT_RATE * weight * wide, SIDE_FLIGHT_LEAST, SIDE_FLIGHT_MOST);
+            const float wide = henyey_greenstein(dot(ray.direction, sun), scene->wide_g);
+            const float count = clamp(SIDE_FLIGHT_RATE * weight * wide, SIDE_FLIGHT_LEAST, SIDE_FLIGHT_MOST);
             side_flights(medium, &ray, particle, weight, count, key, event, v.z, record);
+            const float density = scatter_density(medium, particle, ray.direction, onward);
+            own_share = density / (density + count * sun_density(medium, onward));
         }
-        const float3 onward = sample_scatter(scene, particle, ray.direction, u.zw);
-        if (scene->side_flights) {
-            const float density = scatter_density(scene, particle, ray.direction, onward);
-            own_share = density / (density + count * henyey_greenstein(dot(onward, sun), scene->asymmetry));
-        }
+#endif
         ray.direction = onward;
     }
 }

@@ -22,6 +22,23 @@ inline float sample_henyey_greenstein(float u, float g)
     return clamp(1.0f - 2.0f * (1.0f - u) * (1.0f + g * u) * ratio * ratio, -1.0f, 1.0f);
 }
 
+/* forward_fraction x HG(forward_g) + the rest x HG(backward_g). */
+inline float double_henyey_greenstein(float cosine, float forward_g, float backward_g, float forward_fraction)
+{
+    float density = forward_fraction * henyey_greenstein(cosine, forward_g);
+    if (forward_fraction < 1.0f)
+        density += (1.0f - forward_fraction) * henyey_greenstein(cosine, backward_g);
+    return density;
+}
+
+/* u chooses the lobe, and what is left of it the cosine. */
+inline float sample_double_henyey_greenstein(float u, float forward_g, float backward_g, float forward_fraction)
+{
+    const float backward = 1.0f - forward_fraction;
+    return u < backward ? sample_henyey_greenstein(u / backward, backward_g)
+                        : sample_henyey_greenstein(fmin((u - backward) / forward_fraction, 1.0f), forward_g);
+}
+
 /* Scalar Rayleigh: 3 / (16 pi) (1 + cos^2). */
 inline float rayleigh(float cosine)
 {
@@ -34,6 +51,54 @@ inline float sample_rayleigh(float u)
     const float q = 4.0f * u - 2.0f;
     const float root = cbrt(fabs(q) + sqrt(q * q + 1.0f)); /* >= 1: no cancellation */
     return clamp(copysign(root - 1.0f / root, q), -1.0f, 1.0f);
+}
+
+/* A table of phase functions. Its variable is s = (1 - cosine) / 2 = sin^2(angle / 2), in which
+ * single precision resolves the forward peak; each row is linear in s between its nodes, hence
+ * linear in the cosine. */
+typedef struct {
+    const __global float *node;       /* s, from 0 to 1 */
+    const __global float *density;    /* sr^-1, [row][node] */
+    const __global float *cumulative; /* share of the light scattered within s, [row][node] */
+    int nodes;
+} PhaseTable;
+
+/* The interval [sorted[j], sorted[j + 1]] that holds a value. */
+inline int interval(const __global float *sorted, int count, float value)
+{
+    int low = 0, high = count - 1;
+    while (high - low > 1) {
+        const int middle = (low + high) / 2;
+        if (sorted[middle] <= value)
+            low = middle;
+        else
+            high = middle;
+    }
+    return low;
+}
+
+inline float table_density(const PhaseTable *table, int row, float s)
+{
+    const int j = interval(table->node, table->nodes, s);
+    const __global float *density = table->density + row * table->nodes;
+    const float part = (s - table->node[j]) / (table->node[j + 1] - table->node[j]);
+    return mix(density[j], density[j + 1], clamp(part, 0.0f, 1.0f));
+}
+
+/* The inverse of its distribution function: the cosine grows with u. */
+inline float sample_table(const PhaseTable *table, int row, float u)
+{
+    const __global float *cumulative = table->cumulative + row * table->nodes;
+    const __global float *density = table->density + row * table->nodes;
+    const float share = 1.0f - u;
+    const int j = interval(cumulative, table->nodes, share);
+    const float width = table->node[j + 1] - table->node[j];
+    /* 4 pi (density x + slope x^2 / 2) = what is left of the share; solved without cancellation. */
+    const float rest = 0.25f * ONE_OVER_PI * fmax(share - cumulative[j], 0.0f);
+    const float slope = (density[j + 1] - density[j]) / width;
+    const float root = sqrt(fmax(density[j] * density[j] + 2.0f * slope * rest, 0.0f));
+    const float x = rest > 0.0f ? 2.0f * rest / (density[j] + root) : 0.0f;
+    return 1.0f - 2.0f * (table->node[j] + clamp(x, 0.0f, width));
 }
 
 /* A unit vector at the given cosine from `axis` and azimuth 2 pi u around it

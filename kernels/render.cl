@@ -5,25 +5,24 @@
 __kernel void render_paths(__constant Scene *scene, const __global View *views,
                            const __global float *rays,   /* of the views that are lists of rays */
                            const __global uint2 *pixels, /* (view, pixel) to render */
-                           const __global float *extinction, const __global float *air,
+                           const __global float *extinction, const __global float *table_row,
+                           const __global float *profiles,
                            const uint pixel_count, const uint first_sample, const uint path_count,
                            const uint seed, const uint iteration,
                            __global float *path_radiance, /* sr^-1 */
-                           volatile __global uint *lost_paths)
+                           volatile __global Accumulator *account)
 {
     const size_t path = get_global_id(0);
     if (path >= path_count)
         return;
     const uint2 pixel = pixels[path % pixel_count];
     const SampleKey key = {seed, iteration, pixel.y, pixel.x, first_sample + (uint)(path / pixel_count)};
-    const Medium medium = {scene, extinction, air};
+    const Medium medium = make_medium(scene, extinction, table_row, profiles);
     Record record;
-    record.radiance = 0.0f;
-    record.lost = false;
+    record_begin(&record);
+    record.account = account;
     trace_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &record);
     path_radiance[path] = record.radiance;
-    if (record.lost)
-        atomic_inc(lost_paths);
 }
 
 /* Adds a launch's paths to the pixels' sums, even and odd samples apart. Each pixel is summed

@@ -18,11 +18,14 @@ typedef struct {
     uint sample;
 } SampleKey;
 
+/* The view of the photons that start in the sun. */
+#define SUN_VIEW 0xFFFFFFFFu
+
 /* Blocks of a path: block 0 places the ray in its pixel; event k = 1, 2, ... has the
  * BLOCKS_PER_EVENT blocks from k * BLOCKS_PER_EVENT on. Inside an event: */
 #define BLOCKS_PER_EVENT 64u
 #define BLOCK_EVENT      0u /* free path, particle, scattering cosine, azimuth */
-#define BLOCK_ROULETTE   1u /* local estimate, path, number of side flights, mixture */
+#define BLOCK_ROULETTE   1u /* local estimate, path, number of side flights, row of the phase table */
 #define BLOCK_SIDE       2u /* side flight n: blocks 2 + 2 n and 3 + 2 n */
 
 /* 32 random bits -> a float in the open interval (0, 1). (float)bits may round up to
