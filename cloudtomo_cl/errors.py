@@ -22,7 +22,11 @@ class DataError(CloudtomoError):
 
 
 class TransportError(CloudtomoError):
-    """A rendered radiance or a gradient is not finite, or paths were lost."""
+    """A rendered radiance or a gradient is not finite."""
+
+
+class AuditError(TransportError):
+    """The energy of a run of paths does not add up: the device computes wrongly, or paths were lost."""
 
 
 class Interrupted(CloudtomoError):

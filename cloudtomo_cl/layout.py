@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.phase import DoubleHenyeyGreenstein, TabulatedPhaseFunction
 from cloudtomo_cl.scene import Scene
 from cloudtomo_cl.sensors import RayView, View
 
@@ -90,19 +91,31 @@ def declarations(device: Any) -> str:
     return "\n".join(parts)
 
 
-def scene_struct(scene: Scene, side_flights: bool) -> np.ndarray:
-    """The kernels' Scene, shape ()."""
+def scene_struct(scene: Scene, side_flights: bool = False, truncation: float = np.inf) -> np.ndarray:
+    """The kernels' Scene, shape (); truncation in sr^-1."""
     struct = np.zeros((), STRUCTS["Scene"])
     struct["shape"] = scene.grid.shape
     struct["periodic"] = scene.boundary.horizontal == "periodic"
     struct["spacing"] = scene.grid.spacing
     struct["base_height"] = scene.grid.origin[2]
     struct["sun"] = scene.sun.direction
-    struct["asymmetry"] = scene.cloud.phase_function.g
+    phase = scene.cloud.phase_function
+    if isinstance(phase, TabulatedPhaseFunction):
+        struct["table_rows"], struct["table_nodes"] = len(phase.values), len(phase.angle)
+    elif isinstance(phase, DoubleHenyeyGreenstein):
+        struct["forward_g"], struct["backward_g"] = phase.forward_g, phase.backward_g
+        struct["forward_fraction"] = phase.forward_fraction
+    else:
+        struct["forward_g"], struct["forward_fraction"] = phase.g, 1.0
+    struct["wide_g"] = phase.g**2
+    levels, _ = scene.air_layers()
+    struct["air_layers"] = len(levels) - 1
+    struct["air_layers_below"] = scene.air_layers_below()
     struct["droplet_albedo"] = scene.cloud.single_scattering_albedo
     struct["air_albedo"] = scene.air.single_scattering_albedo if scene.air else 1.0
     struct["surface_albedo"] = scene.surface.albedo
     struct["side_flights"] = side_flights
+    struct["truncation"] = truncation
     return struct
 
 
