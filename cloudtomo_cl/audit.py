@@ -68,7 +68,7 @@ class Audit:
             raise AuditError(f"{self.launched} of {expected} paths came to an end: {_ADVICE}")
         if not abs(self.balance) <= _ROUNDING:
             raise AuditError(f"the paths' weights add up to {1 + self.balance:.6g} instead of 1: {_ADVICE}")
-        if not abs(self.killed) <= _SIGNIFICANCE * self.killed_standard_error + _ROUNDING / self.launched**0.5:
+        if not abs(self.killed) <= _SIGNIFICANCE * self.killed_standard_error + 1.0 / WEIGHT_UNIT:
             raise AuditError(
                 f"roulettes took {self.killed:.3g} ± {self.killed_standard_error:.2g} of the weight instead of 0: {_ADVICE}"
             )

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import os
+import time
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
 from typing import Any
 
+import numpy as np
+
 from cloudtomo_cl.errors import BuildError, DeviceError
 
 ENVIRONMENT_VARIABLE = "CLOUDTOMO_DEVICE"
 WORK_GROUP_SIZE = 64
+# Work items of the first launch of its kind, of the largest, and what a launch should take.
+_FIRST_LAUNCH = 1 << 18
+_LARGEST_LAUNCH = 1 << 24
+_LAUNCH_SECONDS = 0.4
 _WIDE_ATOMICS_EXTENSION = "cl_khr_int64_base_atomics"
 _WIDE_ATOMICS, _NARROW_ATOMICS = "64-bit atomics", "32-bit atomics with carry"
 
@@ -143,6 +150,11 @@ class Device:
             self._kernels[file, name, features] = cl.Kernel(self.build(source), name)
         return self._kernels[file, name, features]
 
+    def constant(self, values: np.ndarray) -> Any:
+        """A buffer with a copy of an array, for kernels to read."""
+        flags = _import_pyopencl().mem_flags
+        return _import_pyopencl().Buffer(self.context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=values)
+
     def launch(self, kernel: Any, work_items: int, *arguments: Any) -> None:
         """Runs a kernel on at least `work_items` work items (kernels skip the rest)."""
         cl = _import_pyopencl()
@@ -151,6 +163,27 @@ class Device:
             kernel(self.queue, (groups * WORK_GROUP_SIZE,), (WORK_GROUP_SIZE,), *arguments)
         except cl.Error as error:
             raise DeviceError(f"device {self.name}: {kernel.function_name} did not start ({error})") from None
+
+
+class Pace:
+    """Sizes launches so that a desktop's watchdog and a progress bar live.
+
+    Attributes
+    ----------
+    work_items : what the next launch should have
+    """
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self.work_items = _FIRST_LAUNCH
+
+    def launch(self, kernel: Any, work_items: int, *arguments: Any) -> None:
+        """Runs a kernel to its end, and learns from the time it took."""
+        start = time.perf_counter()
+        self.device.launch(kernel, work_items, *arguments)
+        self.device.queue.finish()
+        wanted = work_items / max(time.perf_counter() - start, 1e-6) * _LAUNCH_SECONDS
+        self.work_items = int(min(max(wanted, self.work_items // 2), 2 * self.work_items, _LARGEST_LAUNCH))
 
 
 def choose_device(name: str | int | None = None) -> Device:

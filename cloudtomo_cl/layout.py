@@ -138,6 +138,29 @@ def view_structs(views: Sequence[View], grid: Grid) -> np.ndarray:
     return structs
 
 
+def sun_view_struct(scene: Scene) -> tuple[np.ndarray, float]:
+    """The sun's view of the domain, whose rays photons start along: a View, and its horizontal area, km^2.
+
+    It is the top of the domain (or of the atmosphere), a pixel for each column; with open sides
+    wider by what of the sides the sun can see.
+    """
+    grid, to_sun = scene.grid, scene.sun.direction
+    levels, _ = scene.air_layers()
+    lower, upper = np.zeros(2), np.array(grid.extent[:2])
+    columns = np.array(grid.shape[:2])
+    if scene.boundary.horizontal == "open":
+        shift = grid.extent[2] * to_sun[:2] / to_sun[2]
+        lower, upper = np.minimum(lower, shift), np.maximum(upper, upper + shift)
+        columns = np.ceil((upper - lower) / grid.spacing[:2] - 1e-9).astype(int)
+    struct = np.zeros((), STRUCTS["View"])
+    top = max(levels[-1], grid.origin[2] + grid.extent[2]) - grid.origin[2]
+    struct["origin"] = [*lower, top, upper[0] - lower[0], 0, 0, 0, upper[1] - lower[1], 0]
+    struct["direction"][:3] = -to_sun
+    struct["width"], struct["height"] = columns
+    struct["first_ray"] = -1
+    return struct, float(np.prod(upper - lower))
+
+
 def ray_array(views: Sequence[View], scene: Scene) -> np.ndarray:
     """The rays of all views that are lists of rays, one after the other.
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
-from cloudtomo_cl.device import Device, choose_device
+from cloudtomo_cl.audit import Account, Audit
+from cloudtomo_cl.device import Device, Pace, choose_device
 from cloudtomo_cl.errors import DataError, TransportError
-from cloudtomo_cl.layout import STRUCTS, ray_array, scene_struct, view_structs
+from cloudtomo_cl.layout import STRUCTS, ray_array, view_structs
+from cloudtomo_cl.medium import Medium
 from cloudtomo_cl.scene import Scene
 from cloudtomo_cl.sensors import View
 
@@ -21,10 +22,8 @@ Estimator = Literal["side-flights", "plain"]
 # far below the deposits that matter (about 1e-6), and a voxel's sum of them over all paths of a
 # gradient may reach 2^31 before it overflows.
 _FIXED_POINT_SCALE = 2.0**32
-_LOST_SHARE_LIMIT = 1e-4
-_FIRST_LAUNCH_PATHS = 1 << 18
-_LARGEST_LAUNCH_PATHS = 1 << 24
-_LAUNCH_SECONDS = 0.4
+# Samples after which a target of the error is first looked at.
+_FIRST_SAMPLES = 32
 
 
 @dataclass(frozen=True)
@@ -37,6 +36,8 @@ class Rendering:
     standard_error : of the mean, same unit and shape
     halves : means over even and over odd samples, shape (pixels, 2)
     samples : paths per pixel
+    seed, iteration : what the paths were drawn with
+    audit : what became of the paths
     """
 
     mean: np.ndarray
@@ -45,6 +46,7 @@ class Rendering:
     samples: int
     seed: int
     iteration: int
+    audit: Audit
     _extinction: Any = field(repr=False)
     _launches: list[tuple[int, Any]] = field(repr=False, default_factory=list)
 
@@ -63,7 +65,16 @@ class RadianceOperator:
         "plain", one local estimate at every interaction; by default side flights if the
         asymmetry of the droplets is at least 0.5
 
+    effective_radius : of the droplets, micrometres, shape of the grid, for a phase table of
+        several radii; by default `scene.cloud.effective_radius` everywhere
+    truncation : cuts single local estimates to so many sr^-1. That removes rare bright points and
+        makes the images too dark; `Rendering.audit.truncated` says by how much. By default nothing
+
     Source: the supplement's Eqs. 1-19; docs/estimators.md.
+
+    Raises
+    ------
+    DataError : no view, or an effective radius that does not fit
     """
 
     def __init__(
@@ -73,12 +84,17 @@ class RadianceOperator:
         device: Device | None = None,
         pixels: np.ndarray | None = None,
         estimator: Estimator | None = None,
+        *,
+        effective_radius: np.ndarray | None = None,
+        truncation: float | None = None,
     ) -> None:
         import pyopencl as cl
         import pyopencl.array
 
         if not views:
             raise DataError("no view: a scene needs at least one to be rendered")
+        if truncation is not None and not truncation > 0:
+            raise DataError(f"truncation is {truncation}: it must be above 0 sr^-1")
         self.scene = scene
         self.views = tuple(views)
         self.device = device or choose_device()
@@ -88,31 +104,16 @@ class RadianceOperator:
         self.pixels = all_pixels(self.views) if pixels is None else np.ascontiguousarray(pixels, np.uint32)
         self._cl = cl
         self._array = pyopencl.array
-        queue = self.device.queue
-        self._scene = self._constant(scene_struct(scene, self.estimator == "side-flights"))
-        self._views = self._constant(view_structs(self.views, scene.grid))
-        self._rays = self._constant(ray_array(self.views, scene))
-        self._pixels = self._constant(self.pixels)
-        air = scene.air.profile(scene.grid) if scene.air else np.zeros(scene.grid.shape[2])
-        self._air = self._constant(air.astype(np.float32))
-        self._lost = pyopencl.array.zeros(queue, 1, np.uint32)
-        self._render_paths = self.device.kernel("render", "render_paths")
-        self._sum_paths = self.device.kernel("render", "sum_paths")
-        self._replay_paths = self.device.kernel("gradient", "replay_paths")
-        self._launch_paths = _FIRST_LAUNCH_PATHS
-
-    def _constant(self, values: np.ndarray) -> Any:
-        flags = self._cl.mem_flags.READ_ONLY | self._cl.mem_flags.COPY_HOST_PTR
-        return self._cl.Buffer(self.device.context, flags, hostbuf=values)
-
-    def _device_extinction(self, extinction: Any) -> Any:
-        if tuple(extinction.shape) != self.scene.grid.shape:
-            raise DataError(f"extinction has shape {tuple(extinction.shape)}, the grid {self.scene.grid.shape}")
-        if isinstance(extinction, self._array.Array):
-            return extinction
-        values = np.ascontiguousarray(extinction, np.float32)
-        check_extinction(values)
-        return self._array.to_device(self.device.queue, values)
+        self._medium = Medium(
+            scene, self.device, effective_radius, self.estimator == "side-flights", truncation or np.inf
+        )
+        self._views = self.device.constant(view_structs(self.views, scene.grid))
+        self._rays = self.device.constant(ray_array(self.views, scene))
+        self._pixels = self.device.constant(self.pixels)
+        self._render_paths = self.device.kernel("render", "render_paths", self._medium.features)
+        self._sum_paths = self.device.kernel("render", "sum_paths", self._medium.features)
+        self._replay_paths = self.device.kernel("gradient", "replay_paths", self._medium.features)
+        self._pace = Pace(self.device)
 
     def render(
         self,
@@ -122,41 +123,46 @@ class RadianceOperator:
         iteration: int = 0,
         keep_paths: bool = False,
         progress: Callable[[int], None] | None = None,
+        target_error: float | None = None,
     ) -> Rendering:
         """Radiance of every pixel.
 
         Parameters
         ----------
         extinction : of the droplets, km^-1, shape of the grid; NumPy, or an array on the device
-        samples : paths per pixel, even
+        samples : paths per pixel, even; with a target, the most
         seed, iteration : together with view, pixel and sample these determine every path
         keep_paths : keep what `gradient` needs (4 bytes per path on the device)
         progress : called with the number of samples done so far
+        target_error : ends earlier, as soon as no view's `relative_error` is larger
 
         Raises
         ------
         DataError : extinction of another shape, negative or not finite; samples odd
-        TransportError : a radiance is not finite, or paths were lost
+        TransportError : a radiance is not finite
+        AuditError : energy was lost or gained (see `Audit.check`)
         """
         if samples < 2 or samples % 2:
             raise DataError(f"samples is {samples}: it must be even and at least 2 (halves are compared)")
+        if target_error is not None and not target_error > 0:
+            raise DataError(f"target_error is {target_error}: it must be above 0, for instance 0.01 for 1 %")
         queue, count = self.device.queue, len(self.pixels)
-        beta = self._device_extinction(extinction)
+        beta = self._medium.extinction(extinction)
         size = count * STRUCTS["PixelSums"].itemsize
         sums = self._cl.Buffer(self.device.context, self._cl.mem_flags.READ_WRITE, size)
         self._cl.enqueue_fill_buffer(queue, sums, np.uint8(0), 0, sums.size)
-        self._lost.fill(0)
+        account = Account(self.device)
         launches: list[tuple[int, Any]] = []
-        first = 0
-        while first < samples:
-            number = int(np.clip(self._launch_paths // count, 1, samples - first))
+        first, goal = 0, samples if target_error is None else min(_FIRST_SAMPLES, samples)
+        while True:
+            number = int(np.clip(self._pace.work_items // count, 1, goal - first))
             paths = self._array.empty(queue, number * count, np.float32)
-            self._timed(
-                number * count,
+            self._pace.launch(
                 self._render_paths,
+                number * count,
                 *self._arguments(beta, first, number * count, seed, iteration),
                 paths.data,
-                self._lost.data,
+                account.data,
             )
             self.device.launch(
                 self._sum_paths, count, paths.data, np.uint32(count), np.uint32(first), np.uint32(number), sums
@@ -166,16 +172,35 @@ class RadianceOperator:
             first += number
             if progress:
                 progress(first)
-        return self._rendering(sums, samples, seed, iteration, beta, launches)
+            if first < goal:
+                continue
+            rendering = self._rendering(sums, first, seed, iteration, account, beta, launches)
+            if target_error is None or first == samples:
+                return rendering
+            missing = self.relative_error(rendering).max() / target_error
+            if missing <= 1:
+                return rendering
+            # Noise falls with the root of the samples; a tenth more, for it is itself noisy.
+            goal = min(samples, 2 * int(np.ceil(first * min(1.1 * missing**2, 8.0) / 2)))
+
+    def relative_error(self, rendering: Rendering) -> np.ndarray:
+        """Each view's noise: the root mean square of its pixels' standard errors over their mean radiance.
+
+        Returns an array (views,); 0 for a view that is dark, and for one without pixels.
+        """
+        view = self.pixels[:, 0]
+        counts = np.maximum(np.bincount(view, minlength=len(self.views)), 1)
+        variance = np.bincount(view, rendering.standard_error**2, len(self.views)) / counts
+        mean = np.bincount(view, rendering.mean, len(self.views)) / counts
+        return np.sqrt(variance) / np.where(mean > 0, mean, 1.0)
 
     def _arguments(self, beta: Any, first: int, paths: int, seed: int, iteration: int) -> tuple[Any, ...]:
         return (
-            self._scene,
+            self._medium.struct,
             self._views,
             self._rays,
             self._pixels,
-            beta.data,
-            self._air,
+            *self._medium.arguments(beta),
             np.uint32(len(self.pixels)),
             np.uint32(first),
             np.uint32(paths),
@@ -183,18 +208,15 @@ class RadianceOperator:
             np.uint32(iteration),
         )
 
-    def _timed(self, paths: int, kernel: Any, *arguments: Any) -> None:
-        """Launches, and sizes the next launch so that a desktop's watchdog and a progress bar live."""
-        start = time.perf_counter()
-        self.device.launch(kernel, paths, *arguments)
-        self.device.queue.finish()
-        rate = paths / max(time.perf_counter() - start, 1e-6)
-        self._launch_paths = int(
-            np.clip(rate * _LAUNCH_SECONDS, self._launch_paths // 2, min(2 * self._launch_paths, _LARGEST_LAUNCH_PATHS))
-        )
-
     def _rendering(
-        self, sums: Any, samples: int, seed: int, iteration: int, beta: Any, launches: list[tuple[int, Any]]
+        self,
+        sums: Any,
+        samples: int,
+        seed: int,
+        iteration: int,
+        account: Account,
+        beta: Any,
+        launches: list[tuple[int, Any]],
     ) -> Rendering:
         host = np.empty(len(self.pixels), STRUCTS["PixelSums"])
         self._cl.enqueue_copy(self.device.queue, host, sums)
@@ -209,13 +231,9 @@ class RadianceOperator:
             raise TransportError(
                 f"radiance is not finite in view {view}, pixel {pixel} (seed {seed}, iteration {iteration})"
             )
-        lost = int(self._lost.get()[0])
-        if lost > _LOST_SHARE_LIMIT * samples * len(self.pixels):
-            raise TransportError(
-                f"{lost} paths were lost in horizontal flight: with periodic sides, "
-                "tilt the views that look along the horizon"
-            )
-        return Rendering(mean, standard_error, halves, samples, seed, iteration, beta, launches)
+        audit = account.audit(float(mean.sum()) / irradiance * samples)
+        audit.check(samples * len(self.pixels))
+        return Rendering(mean, standard_error, halves, samples, seed, iteration, audit, beta, launches)
 
     def gradient(self, rendering: Rendering, adjoint: np.ndarray) -> Any:
         """The gradient of a cost with respect to extinction, by replay of a rendering's paths.
@@ -245,12 +263,12 @@ class RadianceOperator:
         if not np.isfinite(largest):
             raise DataError("adjoint is not finite")
         if largest > 0:
-            factors = self._constant((adjoint * (_FIXED_POINT_SCALE / largest)).astype(np.float32))
+            factors = self.device.constant((adjoint * (_FIXED_POINT_SCALE / largest)).astype(np.float32))
             for first, paths in rendering._launches:
                 arguments = self._arguments(
                     rendering._extinction, first, paths.size, rendering.seed, rendering.iteration
                 )
-                self._timed(paths.size, self._replay_paths, *arguments, paths.data, factors, total.data)
+                self._pace.launch(self._replay_paths, paths.size, *arguments, paths.data, factors, total.data)
         scale = largest / _FIXED_POINT_SCALE * self.scene.sun.irradiance / (rendering.samples // 2)
         return total.astype(np.float32) * np.float32(scale)
 
@@ -269,11 +287,3 @@ def all_pixels(views: Sequence[View]) -> np.ndarray:
     return np.column_stack(
         [np.repeat(np.arange(len(views)), counts), np.concatenate([np.arange(count) for count in counts])]
     ).astype(np.uint32)
-
-
-def check_extinction(values: np.ndarray) -> None:
-    """Raises DataError if an extinction is negative or not finite anywhere."""
-    wrong = ~(np.isfinite(values) & (values >= 0))
-    if wrong.any():
-        voxel = tuple(int(i) for i in np.unravel_index(np.argmax(wrong), values.shape))
-        raise DataError(f"extinction at voxel {voxel} is {values[voxel]}: it must be finite and at least 0 km^-1")

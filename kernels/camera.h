@@ -8,6 +8,9 @@
 #ifndef CLOUDTOMO_CAMERA_H
 #define CLOUDTOMO_CAMERA_H
 
+#include "rng.h"
+#include "grid.h"
+
 inline float3 affine(const __global float *coefficients, float u, float v)
 {
     return (float3)(coefficients[0] + u * coefficients[3] + v * coefficients[6],

@@ -93,7 +93,7 @@ inline void side_flights(const Medium *medium, const Ray *at, Particle particle,
         if (radiance > 0.0f) {
             Ray again = start;
             fly(medium, &again, reach, radiance, record);
-            if (target == PARTICLE_DROPLET)
+            if (target >= 0)
                 DEPOSIT_COLLISION(flight.index, flight.droplets, radiance);
             deposit_local_estimate(medium, &ray, radiance, record);
         }

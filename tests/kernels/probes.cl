@@ -38,13 +38,15 @@ __kernel void probe_direction_around(const uint count, const __global float *axi
 }
 
 /* A scattered direction, and its density. */
-__kernel void probe_scatter(const uint count, __constant Scene *scene, const int particle,
+__kernel void probe_scatter(const uint count, __constant Scene *scene, const __global float *profiles,
+                            const int particle,
                             const __global float *from, const __global float *u, __global float *result)
 {
     PROBE(count);
     const float3 before = vload3(i, from);
-    const float3 after = sample_scatter(scene, (Particle)particle, before, vload2(i, u));
-    vstore4((float4)(after, scatter_density(scene, (Particle)particle, before, after)), i, result);
+    const Medium medium = make_medium(scene, 0, 0, profiles);
+    const float3 after = sample_scatter(&medium, particle, before, vload2(i, u));
+    vstore4((float4)(after, scatter_density(&medium, particle, before, after)), i, result);
 }
 
 inline Ray probe_ray(const __global float *position, const __global float *direction, size_t i)
@@ -65,7 +67,8 @@ __kernel void probe_crossings(const uint count, __constant Scene *scene,
     PROBE(count);
     Ray ray = probe_ray(position, direction, i);
     uint n = 0;
-    if (enter_domain(scene, &ray)) {
+    float distance;
+    if (enter_domain(scene, &ray, &distance)) {
         VoxelWalk walk = walk_begin(scene, &ray);
         float exit;
         do {
@@ -82,14 +85,14 @@ __kernel void probe_crossings(const uint count, __constant Scene *scene,
 
 /* A flight: optical depth, whether it collided, and where it ended (km from the domain's corner). */
 __kernel void probe_fly(const uint count, __constant Scene *scene, const __global float *extinction,
-                        const __global float *air, const __global float *position, const __global float *direction,
+                        const __global float *profiles, const __global float *position,
+                        const __global float *direction,
                         const __global float *reach, __global float *result)
 {
     PROBE(count);
-    const Medium medium = {scene, extinction, air};
+    const Medium medium = make_medium(scene, extinction, 0, profiles);
     Record record;
-    record.radiance = 0.0f;
-    record.lost = false;
+    record_begin(&record);
     Ray ray = probe_ray(position, direction, i);
     const Flight flight = fly(&medium, &ray, reach[i], 0.0f, &record);
     const float3 end = ray.position * grid_spacing(scene);

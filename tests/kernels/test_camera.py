@@ -32,7 +32,7 @@ def rays(probe, view, sample=0):
     count = view.pixels[0] * view.pixels[1]
     scene = Scene(grid=GRID, sun=Sun(zenith=0))
     origins, directions = probe(
-        "probe_camera", count, scene_struct(scene, False), view_structs([view], GRID), ray_array([view], scene),
+        "probe_camera", count, scene_struct(scene), view_structs([view], GRID), ray_array([view], scene),
         np.uint32(SEED), np.uint32(sample), results=[np.zeros((count, 3), np.float32)] * 2,
     )  # fmt: skip
     return origins.astype(float) + GRID.origin, directions.astype(float)

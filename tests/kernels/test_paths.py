@@ -46,7 +46,7 @@ def test_paths_do_not_depend_on_how_launches_are_cut(device):
     extinction = extinction_of(scene)
     whole = RadianceOperator(scene, [ABOVE], device)
     cut = RadianceOperator(scene, [ABOVE], device)
-    cut._launch_paths = 50
+    cut._pace.work_items = 50
     first = whole.render(extinction, 40, keep_paths=True)
     second = cut.render(extinction, 40, keep_paths=True)
     assert len(second._launches) > len(first._launches)

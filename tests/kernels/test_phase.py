@@ -7,6 +7,7 @@ from scipy import stats
 from cloudtomo_cl import reference
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.layout import scene_struct
+from cloudtomo_cl.medium import profiles
 from cloudtomo_cl.phase import HenyeyGreenstein
 from cloudtomo_cl.scene import Cloud, Scene, Sun
 
@@ -97,13 +98,13 @@ def scattered(probe, particle, g, random, before, count):
     """`count` directions scattered out of `before`, and their densities."""
     numbers = reference.open_uniform(random.integers(0, 2**32, (count, 2), dtype=np.uint32))
     found = probe(
-        "probe_scatter", count, scene_struct(optics(g), False), np.int32(particle),
+        "probe_scatter", count, scene_struct(optics(g)), profiles(optics(g)), np.int32(particle),
         np.tile(np.float32(before), (count, 1)), numbers, results=[np.zeros((count, 4), np.float32)],
     )  # fmt: skip
     return found[:, :3].astype(float), found[:, 3].astype(float)
 
 
-DROPLET, MOLECULE, SURFACE = range(3)
+DROPLET, MOLECULE, SURFACE = 0, -1, -2
 
 
 @pytest.mark.parametrize(
@@ -135,7 +136,7 @@ def test_scattered_directions_follow_their_density(probe, random, particle, g):
 def test_densities_of_scattered_directions_are_those_of_the_reference(probe, random, particle, g):
     before = np.array([0.48, -0.6, 0.64])
     after, density = scattered(probe, particle, g, random, before, 1000)
-    name = ("droplet", "molecule", "surface")[particle]
+    name = {DROPLET: "droplet", MOLECULE: "molecule", SURFACE: "surface"}[particle]
     expected = [reference.scatter_density(optics(g), name, before, direction) for direction in after]
     # A cosine's rounding of 1e-7 changes the density of g = 0.85 at its peak by 1e-5.
     np.testing.assert_allclose(density, expected, rtol=5e-5, atol=1e-6)

@@ -6,6 +6,7 @@ import pytest
 from cloudtomo_cl import reference
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.layout import scene_struct
+from cloudtomo_cl.medium import profiles
 from cloudtomo_cl.scene import Air, Boundary, Scene, Sun
 
 GRID = Grid(shape=(4, 3, 5), spacing=(0.1, 0.07, 0.05), origin=(1.0, -2.0, 0.3))
@@ -32,7 +33,7 @@ def voxel_lengths(probe, case, positions, directions):
     directions = unit(directions).astype(np.float32)
     rays, voxels = len(positions), int(np.prod(GRID.shape))
     index, length, number = probe(
-        "probe_crossings", rays, scene_struct(case, False), positions, directions, np.uint32(MOST),
+        "probe_crossings", rays, scene_struct(case), positions, directions, np.uint32(MOST),
         results=[np.zeros((rays, MOST), np.int32), np.zeros((rays, MOST), np.float32), np.zeros(rays, np.uint32)],
     )  # fmt: skip
     assert number.max() < MOST
@@ -148,10 +149,9 @@ def test_rays_that_miss_an_open_domain_cross_nothing(probe, position, direction)
 
 def flights(probe, case, extinction, positions, directions, reach):
     """Columns: optical depth, collided, droplets, air, index, end (km from the domain's corner)."""
-    air = case.air.profile(GRID) if case.air else np.zeros(GRID.shape[2])
     count = len(positions)
     return probe(
-        "probe_fly", count, scene_struct(case, False), np.float32(extinction), np.float32(air),
+        "probe_fly", count, scene_struct(case), np.float32(extinction), profiles(case),
         np.float32(positions), np.float32(directions), np.float32(reach), results=[np.zeros((count, 8), np.float32)],
     ).astype(float)  # fmt: skip
 
