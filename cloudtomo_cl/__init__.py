@@ -8,6 +8,7 @@ from cloudtomo_cl.carving import carve
 from cloudtomo_cl.clouds import cumulus
 from cloudtomo_cl.device import choose_device, list_devices
 from cloudtomo_cl.errors import CloudtomoError
+from cloudtomo_cl.flux import Fluxes, FluxOperator
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.inversion import Reconstruction, reconstruct
 from cloudtomo_cl.io import read_extinction, read_measurements, write_extinction, write_measurements
@@ -27,6 +28,8 @@ __all__ = [
     "Cloud",
     "CloudtomoError",
     "DoubleHenyeyGreenstein",
+    "FluxOperator",
+    "Fluxes",
     "Grid",
     "HenyeyGreenstein",
     "Measurements",

@@ -70,12 +70,13 @@ class Audit:
             raise AuditError(f"the paths' weights add up to {1 + self.balance:.6g} instead of 1: {_ADVICE}")
         if not abs(self.killed) <= _SIGNIFICANCE * self.killed_standard_error + 1.0 / WEIGHT_UNIT:
             raise AuditError(
-                f"roulettes took {self.killed:.3g} ± {self.killed_standard_error:.2g} of the weight instead of 0: {_ADVICE}"
+                f"roulettes took {self.killed:.3g} ± {self.killed_standard_error:.2g} of the weight instead of 0: "
+                f"{_ADVICE}"
             )
         if self.lost > _LOST_SHARE_LIMIT:
             raise AuditError(
-                f"{self.lost:.2%} of the weight was lost in horizontal flight: with periodic sides, tilt the views that "
-                "look along the horizon"
+                f"{self.lost:.2%} of the weight was lost in horizontal flight: with periodic sides, tilt the views "
+                "that look along the horizon"
             )
 
 
