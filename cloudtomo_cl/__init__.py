@@ -9,16 +9,30 @@ from cloudtomo_cl.clouds import cumulus
 from cloudtomo_cl.device import choose_device, list_devices
 from cloudtomo_cl.errors import CloudtomoError
 from cloudtomo_cl.flux import Fluxes, FluxOperator
+from cloudtomo_cl.formations import MISR_ANGLES, RingOfViews, StringOfScans, StringOfViews, fisheye_rays
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.inversion import Reconstruction, reconstruct
-from cloudtomo_cl.io import read_extinction, read_measurements, write_extinction, write_measurements
+from cloudtomo_cl.io import (
+    read_extinction,
+    read_measurements,
+    read_rays,
+    write_extinction,
+    write_measurements,
+    write_rays,
+)
 from cloudtomo_cl.measurements import Measurements
 from cloudtomo_cl.metrics import delta, epsilon
 from cloudtomo_cl.optimizer import Optimizer
 from cloudtomo_cl.phase import DoubleHenyeyGreenstein, HenyeyGreenstein, TabulatedPhaseFunction
 from cloudtomo_cl.prior import Prior
 from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+from cloudtomo_cl.sensors import (
+    OrthographicView,
+    PerspectiveView,
+    PushBroomView,
+    RadiometerView,
+    RayView,
+)
 from cloudtomo_cl.stages import Stage, automatic_stages
 from cloudtomo_cl.transport import RadianceOperator, Rendering
 
@@ -32,16 +46,23 @@ __all__ = [
     "Fluxes",
     "Grid",
     "HenyeyGreenstein",
+    "MISR_ANGLES",
     "Measurements",
     "Optimizer",
     "OrthographicView",
     "PerspectiveView",
     "Prior",
+    "PushBroomView",
     "RadianceOperator",
+    "RadiometerView",
+    "RayView",
     "Reconstruction",
     "Rendering",
+    "RingOfViews",
     "Scene",
     "Stage",
+    "StringOfScans",
+    "StringOfViews",
     "Sun",
     "Surface",
     "TabulatedPhaseFunction",
@@ -51,10 +72,13 @@ __all__ = [
     "cumulus",
     "delta",
     "epsilon",
+    "fisheye_rays",
     "list_devices",
     "read_extinction",
     "read_measurements",
+    "read_rays",
     "reconstruct",
     "write_extinction",
     "write_measurements",
+    "write_rays",
 ]

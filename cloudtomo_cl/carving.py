@@ -14,7 +14,7 @@ import numpy as np
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import Grid, resample
 from cloudtomo_cl.measurements import Measurements
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+from cloudtomo_cl.sensors import AffineView, RayView, View, clip_to_box
 
 # Corners of voxels that are projected at once: some 100 MB of temporary arrays.
 _CORNERS_AT_ONCE = 1 << 20
@@ -48,7 +48,8 @@ def cloudy_pixels(
     the image's own scale, the 99th percentile of the differences. The scale is at least a quarter
     of the largest among the images, so that a view of hardly any cloud is not judged by its noise.
     Gaps of a pixel or two and holes are then closed: where the brightness of a cloud's image
-    passes through that of the ground, the cloud goes on.
+    passes through that of the ground, the cloud goes on. (Not in lists of rays, whose pixels
+    have no neighbours.)
 
     Parameters
     ----------
@@ -78,7 +79,9 @@ def cloudy_pixels(
         noise = 3 * significance * np.percentile(error, _QUIET_PERCENTILE)
         tolerance = np.clip(noise, contrast * scale, _LOOSEST * contrast * scale)
         differs = difference + significance * error > tolerance
-        cloudy.append(_filled(differs if grid is None else differs & pixels_that_meet(view, grid)))
+        if grid is not None:
+            differs = differs & pixels_that_meet(view, grid)
+        cloudy.append(differs if isinstance(view, RayView) else _filled(differs))
     return tuple(cloudy)
 
 
@@ -91,29 +94,30 @@ def _filled(pixels: np.ndarray) -> np.ndarray:
     return ndimage.binary_fill_holes(pixels | closed)
 
 
-def pixels_that_meet(view: PerspectiveView | OrthographicView, grid: Grid) -> np.ndarray:
+def pixels_that_meet(view: View, grid: Grid) -> np.ndarray:
     """Which pixels of a view look at the domain: bool, shape (rows, columns).
 
-    A pixel counts if the ray through its centre or through one of its corners does.
+    A pixel counts if the ray through its centre or through one of its corners does; in a list
+    of rays, if its ray does.
     """
     width, height = view.pixels
+    if isinstance(view, RayView):
+        lower = np.asarray(grid.origin)
+        near, far = clip_to_box(view.origins, view.directions, lower, lower + grid.extent)
+        return (near <= far).reshape(height, width)
     corners = _rays_meet(view, grid, np.arange(width + 1) / width, np.arange(height + 1) / height)
     centres = _rays_meet(view, grid, (np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
     return centres | corners[:-1, :-1] | corners[1:, :-1] | corners[:-1, 1:] | corners[1:, 1:]
 
 
-def _rays_meet(view: PerspectiveView | OrthographicView, grid: Grid, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Which rays cross the domain, shape (len(v), len(u)): the slab test."""
+def _rays_meet(view: AffineView, grid: Grid, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Which rays cross the domain, shape (len(v), len(u))."""
     origin, axes = view.rays(grid)
     image = np.stack(np.broadcast_arrays(1.0, u[None, :], v[:, None]), axis=-1)
     start, step = image @ origin, image @ axes
     lower = np.asarray(grid.origin)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        to_lower, to_upper = (lower - start) / step, (lower + grid.extent - start) / step
-    # A ray within the plane of a face gives 0/0: the face does not bound it.
-    enters = np.nan_to_num(np.minimum(to_lower, to_upper), nan=-np.inf).max(axis=-1)
-    leaves = np.nan_to_num(np.maximum(to_lower, to_upper), nan=np.inf).min(axis=-1)
-    return leaves >= np.maximum(enters, 0.0)
+    near, far = clip_to_box(start, step, lower, lower + grid.extent)
+    return near <= far
 
 
 def carve(
@@ -127,7 +131,8 @@ def carve(
 
     A voxel is removed only if some view has its whole projection inside the frame and no
     cloudy pixel in the projection's bounding box. Rays that miss the domain never count: they
-    see cloud neither in the domain nor, with open boundaries, anywhere else.
+    see cloud neither in the domain nor, with open boundaries, anywhere else. Lists of rays rule
+    out nothing: a voxel may lie between their rays.
 
     For a coarser grid of the same domain, carve the fine grid and coarsen its mask
     (`coarsened`): the bounding boxes of small voxels fit more tightly.
@@ -152,6 +157,8 @@ def carve(
     cloudy = cloudy_pixels(measurements, clear, contrast, significance, grid)
     mask = np.ones(grid.shape, dtype=bool)
     for view, pixels in zip(measurements.views, cloudy):
+        if isinstance(view, RayView):
+            continue
         table = np.zeros((pixels.shape[0] + 1, pixels.shape[1] + 1), dtype=np.int64)
         table[1:, 1:] = pixels.cumsum(axis=0).cumsum(axis=1)
         for first, last in _slabs(grid):
@@ -171,7 +178,7 @@ class _Footprints:
     bottom: np.ndarray
 
 
-def _footprints(view: PerspectiveView | OrthographicView, grid: Grid, first: int, last: int) -> _Footprints:
+def _footprints(view: AffineView, grid: Grid, first: int, last: int) -> _Footprints:
     """Of the voxels of the slab first <= x < last."""
     edges = [grid.origin[axis] + grid.spacing[axis] * np.arange(grid.shape[axis] + 1) for axis in range(3)]
     edges[0] = edges[0][first : last + 1]
@@ -200,7 +207,7 @@ def _slabs(grid: Grid) -> Iterator[tuple[int, int]]:
 
 
 def _seen_clear(
-    view: PerspectiveView | OrthographicView, grid: Grid, first: int, last: int, table: np.ndarray
+    view: AffineView, grid: Grid, first: int, last: int, table: np.ndarray
 ) -> np.ndarray:
     """Which voxels of the slab first <= x < last a view sees whole, and free of cloud.
 
@@ -216,12 +223,23 @@ def _seen_clear(
     return box.whole & (number == 0)
 
 
-def pixels_that_see(view: PerspectiveView | OrthographicView, grid: Grid, mask: np.ndarray) -> np.ndarray:
+def pixels_that_see(view: View, grid: Grid, mask: np.ndarray) -> np.ndarray:
     """Which pixels of a view may look at a voxel of a mask: bool, shape (rows, columns).
 
-    A pixel counts if it lies in the bounding box of the projection of a kept voxel.
+    A pixel counts if it lies in the bounding box of the projection of a kept voxel. In a list of
+    rays it counts if its ray meets the bounding box of all kept voxels.
     """
     width, height = view.pixels
+    if isinstance(view, RayView):
+        if not mask.any():
+            return np.zeros((height, width), dtype=bool)
+        kept_voxels = np.argwhere(mask)
+        lower, upper = (
+            np.asarray(grid.origin) + corner * np.asarray(grid.spacing)
+            for corner in (kept_voxels.min(axis=0), kept_voxels.max(axis=0) + 1)
+        )
+        near, far = clip_to_box(view.origins, view.directions, lower, upper)
+        return (near <= far).reshape(height, width)
     changes = np.zeros((height + 1, width + 1), dtype=np.int64)
     for first, last in _slabs(grid):
         box = _footprints(view, grid, first, last)

@@ -58,7 +58,8 @@ scene.toml:
   azimuth = 90.0
   width = 1.6                       # km across the image
   pixels = [48, 48]
-optional tables: [air], [surface] albedo, [boundary] horizontal = "open" or "periodic"."""
+other types of view: "push-broom", "radiometer", "rays" (a file); "ring", "string", "scans" (several
+views each). optional tables: [air], [surface] albedo, [boundary] horizontal = "open" or "periodic"."""
 
 RECONSTRUCT = """\
 Recover the extinction from images, coarse to fine.

@@ -65,7 +65,7 @@ def render(
 ) -> None:
     """Renders a scene file into a file of measurements."""
     from cloudtomo_cl import progress
-    from cloudtomo_cl.config import read_render_settings, stored_scene
+    from cloudtomo_cl.config import read_render_settings, stored_scene, views
     from cloudtomo_cl.io import read_extinction, write_measurements
 
     check_output(output, overwrite)
@@ -77,7 +77,7 @@ def render(
     grid, extinction = read_extinction(settings.cloud.file)
     described = settings.scene(grid)
     chosen = choose_device(device)
-    operator = RadianceOperator(described, settings.view, chosen)
+    operator = RadianceOperator(described, views(settings.view), chosen)
     console = Console(quiet=quiet)
     start = time.perf_counter()
     with progress.rendering(console, samples) as show:
@@ -109,7 +109,7 @@ def reconstruct(
     run: Path, seed: int | None, output: Path, resume: bool, device: str | None, quiet: bool, overwrite: bool
 ) -> None:
     """Reconstructs after a run file into a run folder."""
-    from cloudtomo_cl.config import ReconstructSettings, read_reconstruct_settings, stored_scene
+    from cloudtomo_cl.config import ReconstructSettings, read_reconstruct_settings, stored_scene, views
     from cloudtomo_cl.inversion import IterationRecord, records
     from cloudtomo_cl.inversion import reconstruct as recover
     from cloudtomo_cl.progress import ReconstructionProgress, duration
@@ -127,7 +127,7 @@ def reconstruct(
     measurements, stored = _read_measurements(settings.measurements.file)
     if settings.view is not None:
         try:
-            measurements = Measurements(settings.view, measurements.images, measurements.standard_errors)
+            measurements = Measurements(views(settings.view), measurements.images, measurements.standard_errors)
         except DataError as error:
             raise SettingsError(f"{run}: view: the views do not fit {settings.measurements.file}: {error}") from None
     scene = settings.scene(stored.get("scene", {}))

@@ -10,18 +10,27 @@ from __future__ import annotations
 import difflib
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, ValidationInfo
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.errors import SettingsError
+from cloudtomo_cl.formations import RingOfViews, StringOfScans, StringOfViews
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.optimizer import Optimizer
 from cloudtomo_cl.prior import Prior
 from cloudtomo_cl.scene import Air, Boundary, Cloud, NotNegative, Positive, Scene, Sun, Surface
-from cloudtomo_cl.sensors import View
+from cloudtomo_cl.sensors import (
+    OrthographicView,
+    PerspectiveView,
+    PushBroomView,
+    RadiometerView,
+    RayView,
+    View,
+)
 from cloudtomo_cl.stages import Stage
 
 if sys.version_info >= (3, 11):
@@ -39,7 +48,6 @@ def _beside_settings(path: Path, info: ValidationInfo) -> Path:
 
 
 InputFile = Annotated[Path, AfterValidator(_beside_settings)]
-Views = Annotated[tuple[View, ...], Field(min_length=1)]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]
 
 
@@ -48,6 +56,36 @@ class File:
     """A table that names a file."""
 
     file: InputFile
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class RayFile:
+    """A view that is a list of rays, in a file that `io.read_rays` reads."""
+
+    file: InputFile
+    type: Literal["rays"] = "rays"
+
+    def views(self) -> tuple[RayView]:
+        """The view. DataError names what is wrong with the file."""
+        from cloudtomo_cl.io import read_rays
+
+        return (read_rays(self.file),)
+
+
+Formation = RingOfViews | StringOfViews | StringOfScans
+ViewTable = Annotated[
+    PerspectiveView | OrthographicView | PushBroomView | RadiometerView | RayFile | Formation,
+    Field(discriminator="type"),
+]
+ViewTables = Annotated[tuple[ViewTable, ...], Field(min_length=1)]
+
+
+def views(tables: Sequence[ViewTable]) -> tuple[View, ...]:
+    """The views of all tables [[view]], in their order; a table may stand for several."""
+    found: list[View] = []
+    for table in tables:
+        found.extend(table.views() if isinstance(table, (RayFile, Formation)) else (table,))
+    return tuple(found)
 
 
 @dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
@@ -80,7 +118,7 @@ class RenderSettings(BaseModel):
 
     cloud: CloudFile
     sun: Sun
-    view: Views
+    view: ViewTables
     air: Air | None = None
     surface: Surface = Surface()
     boundary: Boundary = Boundary()
@@ -107,7 +145,7 @@ class ReconstructSettings(BaseModel):
     air: Air | None = None
     surface: Surface | None = None
     boundary: Boundary | None = None
-    view: Views | None = None
+    view: ViewTables | None = None
     stage: Annotated[tuple[Stage, ...], Field(min_length=1)] | None = None
     prior: Prior = Prior()
     optimizer: Optimizer = Optimizer()

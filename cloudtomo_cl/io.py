@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.measurements import Measurements
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, View
+from cloudtomo_cl.sensors import RayView, View
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -42,10 +42,21 @@ VIEW_FIELDS: dict[str, tuple[tuple[str, ...], str, str]] = {
     "position": (("axis",), "km", "position of the sensor"),
     "target": (("axis",), "km", "point that the image's centre looks at"),
     "up": (("axis",), "1", "direction that is up in the image"),
-    "field_of_view": ((), "degree", "full field of view across the width of a perspective image"),
+    "field_of_view": ((), "degree", "full field of view across the width of a perspective or push-broom image"),
     "width": ((), "km", "width of an orthographic image, measured across the rays"),
     "zenith": ((), "degree", "zenith angle of the direction from the scene to the sensor"),
     "azimuth": ((), "degree", "azimuth of the direction from the scene to the sensor, from +x towards +y"),
+    "aspect": ((), "1", "height of the image over its width, across the line of sight"),
+    "start": (("axis",), "km", "start of the flight track of a push-broom image, at its bottom"),
+    "end": (("axis",), "km", "end of the flight track of a push-broom image, at its top"),
+    "along_track_angle": ((), "degree", "angle from nadir of a push-broom scanner's look, positive ahead"),
+}
+# Only in files whose views have them.
+OPTIONAL_VIEW_FIELDS = ("aspect", "start", "end", "along_track_angle")
+# Rays of the views that are lists of rays, one after the other.
+RAY_FIELDS = {
+    "ray_origin": ("origins", "km", "origin of a pixel's ray"),
+    "ray_direction": ("directions", "1", "direction in which a pixel looks, a unit vector"),
 }
 
 
@@ -299,7 +310,9 @@ def write_measurements(
 
     Variables: `radiance` and `radiance_standard_error` (view, row, column), W m-2 sr-1, padded
     with NaN to the largest image, with `image_height` and `image_width` (view); `view_type`
-    and every field of the views (view) or (view, axis), NaN where a view has no such field.
+    and every field of the views (view) or (view, axis), NaN where a view has no such field. Views
+    that are lists of rays have `ray_origin` and `ray_direction` (ray, axis), the rays of all of
+    them one after the other.
 
     Parameters
     ----------
@@ -338,8 +351,13 @@ def write_measurements(
     for name, (extra, unit, long_name) in VIEW_FIELDS.items():
         missing = (np.nan,) * 3 if extra else np.nan
         fields = [getattr(view, name, None) for view in views]
+        if name in OPTIONAL_VIEW_FIELDS and not any(value is not None for value in fields):
+            continue
         values = np.array([missing if value is None else value for value in fields], dtype=np.float64)
         variables[name] = (("view", *extra), values, {"units": unit, "long_name": long_name})
+    lists = [view for view in views if isinstance(view, RayView)]
+    if lists:
+        variables.update(_ray_variables(lists))
     coordinates = {"axis": ("axis", np.array(AXES, dtype=object))}
     described = _attributes(attributes)
     if settings is not None:
@@ -400,28 +418,96 @@ def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
     return settings
 
 
-def _views(
-    path: Any, dataset: xr.Dataset, heights: np.ndarray, widths: np.ndarray
-) -> tuple[PerspectiveView | OrthographicView, ...]:
+def _ray_variables(views: Sequence[RayView]) -> dict[str, Any]:
+    return {
+        name: (
+            ("ray", "axis"),
+            np.concatenate([getattr(view, field) for view in views]),
+            {"units": unit, "long_name": long_name},
+        )
+        for name, (field, unit, long_name) in RAY_FIELDS.items()
+    }
+
+
+def write_rays(path: str | os.PathLike[str], view: RayView) -> None:
+    """Writes the rays of a view as `origin` and `direction` (ray, axis): see `read_rays`.
+
+    Raises
+    ------
+    DataError : the file cannot be written
+    """
+    import xarray as xr
+
+    variables = {name.removeprefix("ray_"): variable for name, variable in _ray_variables([view]).items()}
+    width, height = view.pixels
+    sizes = {"image_width": width, "image_height": height}
+    _save(path, xr.Dataset(variables, {"axis": ("axis", np.array(AXES, dtype=object))}, _attributes(sizes)))
+
+
+def read_rays(path: str | os.PathLike[str]) -> RayView:
+    """Reads a view that is a list of rays.
+
+    Variables: `origin` (ray, axis) in km (also if no unit is given) or m, `direction` (ray, axis) of
+    any length, with three numbers x, y, z along `axis`. The file's attributes `image_width` and
+    `image_height`, if there, give the pixels; otherwise there is one row.
+
+    Raises
+    ------
+    DataError : no such file, not netCDF; missing variables, other dimensions or units, rays that
+        are not possible
+    """
+    dataset = load_dataset(path)
+    dims = ("ray", "axis")
+    origin, direction = (_variable(path, dataset, name, dims) for name in ("origin", "direction"))
+    fields: dict[str, Any] = {
+        "origins": origin.values.astype(np.float64) * _unit(path, origin, LENGTH_UNITS, "km"),
+        "directions": direction.values,
+    }
+    if "image_width" in dataset.attrs:
+        fields["pixels"] = tuple(np.ravel(dataset.attrs.get(name, 1))[0] for name in ("image_width", "image_height"))
+    try:
+        return RayView(**fields)
+    except ValidationError as error:
+        raise DataError(f"{path}: rays are not possible: {_first_error(error)}") from None
+
+
+def _first_error(error: ValidationError) -> str:
+    first = error.errors()[0]
+    where = ".".join(map(str, first["loc"]))
+    return f"{where}: {first['msg']}" if where else str(first["msg"])
+
+
+def _views(path: Any, dataset: xr.Dataset, heights: np.ndarray, widths: np.ndarray) -> tuple[View, ...]:
     """The views from their fields; a field that is NaN was not given."""
     if "view_type" not in dataset.variables or dataset["view_type"].dims != ("view",):
         raise DataError(f"{path}: no variable view_type(view)")
     fields = {
-        name: _variable(path, dataset, name, ("view", *extra)).values for name, (extra, _, _) in VIEW_FIELDS.items()
+        name: _variable(path, dataset, name, ("view", *extra)).values
+        for name, (extra, _, _) in VIEW_FIELDS.items()
+        if name not in OPTIONAL_VIEW_FIELDS or name in dataset.variables
     }
-    adapter: TypeAdapter[PerspectiveView | OrthographicView] = TypeAdapter(View)
+    kinds = dataset["view_type"].values
+    first_ray, rays = 0, {}
+    if "rays" in kinds:
+        rays = {
+            field: _variable(path, dataset, name, ("ray", "axis")).values
+            for name, (field, _, _) in RAY_FIELDS.items()
+        }
+    adapter: TypeAdapter[Any] = TypeAdapter(View)
     views = []
-    for index, kind in enumerate(dataset["view_type"].values):
+    for index, kind in enumerate(kinds):
         table: dict[str, Any] = {"type": str(kind), "pixels": (int(widths[index]), int(heights[index]))}
         for name, values in fields.items():
             if not np.isnan(values[index]).all():
                 table[name] = values[index].tolist()
+        if kind == "rays":
+            count = int(widths[index]) * int(heights[index])
+            table.update({field: values[first_ray : first_ray + count] for field, values in rays.items()})
+            first_ray += count
         try:
             views.append(adapter.validate_python(table))
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(map(str, first["loc"]))
-            raise DataError(f"{path}: view {index} is not possible: {where}: {first['msg']}") from None
+            raise DataError(f"{path}: view {index} is not possible: {_first_error(error)}") from None
     return tuple(views)
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import resample
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, image_aspect
+from cloudtomo_cl.sensors import RayView, View
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Measurements:
     standard_errors : of the radiances, same unit and shapes; zero where unknown
     """
 
-    views: tuple[PerspectiveView | OrthographicView, ...]
+    views: tuple[View, ...]
     images: tuple[np.ndarray, ...]
     standard_errors: tuple[np.ndarray, ...]
 
@@ -47,10 +47,21 @@ class Measurements:
                 raise DataError(f"measurements: standard_errors of view {index} are negative: they must be at least 0")
 
     def resampled(self, pixels: Sequence[tuple[int, int]]) -> Measurements:
-        """The same images averaged over larger pixels, (width, height) for each view."""
-        views, images, errors = [], [], []
+        """The same images averaged over larger pixels, (width, height) for each view.
+
+        Raises
+        ------
+        DataError : other pixels for a view that is a list of rays
+        """
+        views: list[View] = []
+        images, errors = [], []
         for view, image, error, (width, height) in zip(self.views, self.images, self.standard_errors, pixels):
-            views.append(replace(view, pixels=(width, height), aspect=image_aspect(view)))
+            if isinstance(view, RayView):
+                if (width, height) != view.pixels:
+                    raise DataError("a view that is a list of rays has no larger pixels: keep those it has")
+                views.append(view)
+            else:
+                views.append(view.with_pixels((width, height)))
             images.append(resample(image, (height, width)))
             # Independent pixels: variances add with the squares of their shares.
             share = width * height / image.size
@@ -58,12 +69,17 @@ class Measurements:
         return Measurements(tuple(views), tuple(images), tuple(errors))
 
     def at_share(self, share: float) -> Measurements:
-        """The images with `share` of their width and height, but at least 8 pixels or all there are."""
+        """The images with `share` of their width and height, but at least 8 pixels or all there are.
+
+        Views that are lists of rays keep theirs.
+        """
         if share == 1:
             return self
         return self.resampled(
             [
-                tuple(min(count, max(8, round(share * count))) for count in view.pixels)  # type: ignore[misc]
+                view.pixels
+                if isinstance(view, RayView)
+                else tuple(min(count, max(8, round(share * count))) for count in view.pixels)  # type: ignore[misc]
                 for view in self.views
             ]
         )

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.sensors import RayView
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -228,7 +229,11 @@ def plot_images(figure: Figure, measurements: Measurements) -> None:
     for index, panel in enumerate(axes.flat):
         panel.set_axis_off()
         if index < count:
-            image = panel.imshow(measurements.images[index], cmap="gray", vmin=0, vmax=white, interpolation="nearest")
+            # A list of rays is often one row.
+            aspect: Literal["auto", "equal"] = "auto" if isinstance(measurements.views[index], RayView) else "equal"
+            image = panel.imshow(
+                measurements.images[index], cmap="gray", vmin=0, vmax=white, interpolation="nearest", aspect=aspect
+            )
             panel.set_title(f"view {index}")
     figure.colorbar(image, ax=axes, label=RADIANCE_LABEL, extend="max", shrink=0.6)
 

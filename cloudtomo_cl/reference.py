@@ -84,10 +84,28 @@ def camera_ray(view: View, grid: Grid, column: float, row: float) -> tuple[np.nd
 
     Returns its origin (km, shape (3,)) and its direction, a unit vector.
     """
+    width, height = view.pixels
     if view.type == "rays":
-        index = int(row) * view.pixels[0] + int(column)
+        index = int(row) * width + int(column)
         return view.origins[index], view.directions[index]
-    if view.position is not None:
+    top = grid.origin[2] + grid.extent[2]
+    if view.type == "push-broom":
+        start, end = np.array(view.start), np.array(view.end)
+        ahead = (end - start) / np.sqrt(np.sum((end - start) ** 2))
+        to_the_right = np.array([ahead[1], -ahead[0], 0.0])
+        tilt = np.radians(view.along_track_angle)
+        slope = (2 * column / width - 1) * np.tan(np.radians(view.field_of_view) / 2)
+        direction = np.sin(tilt) * ahead + slope * to_the_right
+        direction[2] -= np.cos(tilt)
+        # The track ends at the top of the image.
+        return start + (1 - row / height) * (end - start), direction / np.linalg.norm(direction)
+    if view.type == "radiometer":
+        theta, phi = np.radians(view.zenith), np.radians(view.azimuth)
+        direction = -np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+        east = grid.origin[0] + column / width * grid.extent[0]
+        north = grid.origin[1] + (1 - row / height) * grid.extent[1]
+        return np.array([east, north, top if view.zenith < 90 else grid.origin[2]]), direction
+    if view.position is not None and view.target is not None:
         sight = np.subtract(view.target, view.position).astype(float)
         sight /= np.linalg.norm(sight)
     else:
@@ -95,11 +113,10 @@ def camera_ray(view: View, grid: Grid, column: float, row: float) -> tuple[np.nd
         sight = -np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
     up = view.up
     if up is None:
-        up = (0.0, 1.0, 0.0) if abs(sight[2]) == 1 else (0.0, 0.0, 1.0)
+        up = (0.0, 1.0, 0.0) if abs(sight[2]) > 1 - 1e-12 else (0.0, 0.0, 1.0)
     right = np.cross(sight, up)
     right /= np.linalg.norm(right)
     upward = np.cross(right, sight)
-    width, height = view.pixels
     # From the image's centre, in units of half its width: pixels are square.
     to_right, to_top = 2 * column / width - 1, (height - 2 * row) / width
     if view.type == "perspective":
@@ -110,7 +127,6 @@ def camera_ray(view: View, grid: Grid, column: float, row: float) -> tuple[np.nd
     if view.position is not None:
         return np.array(view.position, float) + offset, sight
     centre = np.array(grid.centre if view.target is None else view.target, float) + offset
-    top = grid.origin[2] + grid.extent[2]
     return centre - sight * (max(top - centre[2], 0.0) / -sight[2] + sum(grid.extent)), sight
 
 

@@ -1,13 +1,15 @@
 """Views: where the sensors stand and how their images lie.
 
-Row 0 is the top of an image as the viewer sees it, columns run left to right. Every view
+Row 0 is the top of an image as the viewer sees it, columns run left to right. An affine view
 gives its rays as affine functions of the image coordinates (u, v) in [0, 1]^2, u to the
-right and v down from the upper left corner: that is all that the kernels know of a sensor.
+right and v down from the upper left corner; a RayView lists them. That is all that the
+kernels know of a sensor.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -20,13 +22,18 @@ from cloudtomo_cl.scene import Angle, direction
 Pixels = tuple[Count, Count]
 
 
-def image_axes(line_of_sight: np.ndarray, up: Triple) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors to the right and up in the image of a viewer looking along a direction.
+def image_axes(line_of_sight: np.ndarray, up: Triple | None) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors to the right and up in the image of a viewer looking along a unit vector.
+
+    Without `up`, that is +z; for a vertical line of sight it is north.
 
     Raises
     ------
     ValueError : `up` is parallel to the line of sight
     """
+    if up is None:
+        vertical = np.hypot(line_of_sight[0], line_of_sight[1]) < 1e-6
+        up = (0.0, 1.0, 0.0) if vertical else (0.0, 0.0, 1.0)
     right = np.cross(line_of_sight, np.asarray(up, dtype=float))
     norm = np.linalg.norm(right)
     if norm < 1e-6 * max(np.linalg.norm(up), 1e-300):
@@ -44,58 +51,22 @@ def line_of_sight(position: Triple, target: Triple) -> np.ndarray:
     return sight / norm
 
 
-def image_aspect(view: PerspectiveView | OrthographicView) -> float:
-    """Height of a view's image over its width."""
-    return view.pixels[1] / view.pixels[0] if view.aspect is None else view.aspect
+class AffineView:
+    """What views have in common whose rays are affine in the image coordinates."""
 
-
-def solve_affine(axes: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Coefficients of offsets (..., 3) with respect to three axes, the rows of a (3, 3) array."""
-    inverse = np.linalg.inv(axes)
-    first, second, third = np.moveaxis(offsets @ inverse, -1, 0)
-    return first, second, third
-
-
-@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
-class PerspectiveView:
-    """A pinhole camera.
-
-    Attributes
-    ----------
-    position, target : km; the camera stands at position and looks at target
-    up : a direction that is up in the image
-    field_of_view : degrees, across the image's width
-    pixels : (width, height)
-    aspect : height of the image over its width; by default pixels are square
-    """
-
-    position: Triple
-    target: Triple
-    field_of_view: Annotated[float, Field(gt=0, lt=180)]
     pixels: Pixels
-    up: Triple = (0.0, 0.0, 1.0)
-    aspect: Length | None = None
-    type: Literal["perspective"] = "perspective"
-
-    @model_validator(mode="after")
-    def _check(self) -> PerspectiveView:
-        image_axes(line_of_sight(self.position, self.target), self.up)
-        if self.position[2] < 0:
-            raise ValueError("position lies below the ground, z = 0: raise it")
-        return self
 
     def rays(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
         """Ray origins (km) and directions as affine functions of (u, v).
 
         Returns two arrays of shape (3, 3): the value at (0, 0), its change over u, over v.
+        Along each image coordinate either the origin changes or the direction, not both.
         """
-        sight = line_of_sight(self.position, self.target)
-        right, up = image_axes(sight, self.up)
-        width = 2 * np.tan(np.radians(self.field_of_view) / 2)
-        height = width * image_aspect(self)
-        corner = sight - width / 2 * right + height / 2 * up
-        origin = np.array([self.position, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
-        return origin, np.array([corner, width * right, -height * up])
+        raise NotImplementedError
+
+    def with_pixels(self, pixels: Pixels) -> View:
+        """The same field of view in other pixels (width, height)."""
+        return replace(self, pixels=pixels)  # type: ignore[type-var, return-value]
 
     def project(self, grid: Grid, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where points appear in the image: the inverse of `rays`.
@@ -111,14 +82,69 @@ class PerspectiveView:
         depth : along the line of sight, km; where it is not positive the point lies behind the
             sensor, and u, v mean nothing
         """
-        origin, axes = self.rays(grid)
-        depth, u, v = solve_affine(axes, points - origin[0])
+        origin, direction = self.rays(grid)
+        # Where the origin moves with u, point = origin + u change + depth direction; where the
+        # direction does, its change comes times u and depth. The same with v.
+        moves = np.any(origin[1:], axis=1)
+        axes = np.array([direction[0], *np.where(moves[:, None], origin[1:], direction[1:])])
+        depth, u, v = np.moveaxis((points - origin[0]) @ np.linalg.inv(axes), -1, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return u / depth, v / depth, depth
+            return u if moves[0] else u / depth, v if moves[1] else v / depth, depth
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
-class OrthographicView:
+class PerspectiveView(AffineView):
+    """A pinhole camera, on an aircraft or on the ground.
+
+    A camera that looks straight up has north at the top of its image and so east on the left:
+    the sky is seen from below, the ground from above.
+
+    Attributes
+    ----------
+    position, target : km; the camera stands at position and looks at target
+    up : a direction that is up in the image; by default +z, or north if the line of sight is vertical
+    field_of_view : degrees, across the image's width
+    pixels : (width, height)
+    aspect : height of the image over its width; by default pixels are square
+    """
+
+    position: Triple
+    target: Triple
+    field_of_view: Annotated[float, Field(gt=0, lt=180)]
+    pixels: Pixels
+    up: Triple | None = None
+    aspect: Length | None = None
+    type: Literal["perspective"] = "perspective"
+
+    @model_validator(mode="after")
+    def _check(self) -> PerspectiveView:
+        image_axes(line_of_sight(self.position, self.target), self.up)
+        if self.position[2] < 0:
+            raise ValueError("position lies below the ground, z = 0: raise it")
+        return self
+
+    @property
+    def _aspect(self) -> float:
+        """Height of the image over its width."""
+        return self.pixels[1] / self.pixels[0] if self.aspect is None else self.aspect
+
+    def with_pixels(self, pixels: Pixels) -> View:
+        """The same field of view in other pixels (width, height); also where these are not square."""
+        return replace(self, pixels=pixels, aspect=self._aspect)
+
+    def rays(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+        """See AffineView."""
+        sight = line_of_sight(self.position, self.target)
+        right, up = image_axes(sight, self.up)
+        width = 2 * np.tan(np.radians(self.field_of_view) / 2)
+        height = width * self._aspect
+        corner = sight - width / 2 * right + height / 2 * up
+        origin = np.array([self.position, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
+        return origin, np.array([corner, width * right, -height * up])
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class OrthographicView(AffineView):
     """Parallel rays, as from a satellite far away.
 
     The line of sight is given by position and target, or by the direction (zenith, azimuth)
@@ -131,7 +157,7 @@ class OrthographicView:
     pixels : (width, height)
     position, target : km
     zenith, azimuth : degrees; zenith below 90 (use position and target to look up)
-    up : a direction that is up in the image; for a line of sight along z the default is north
+    up : a direction that is up in the image; by default +z, or north if the line of sight is vertical
     aspect : height of the image over its width; by default pixels are square
     """
 
@@ -154,10 +180,19 @@ class OrthographicView:
                 raise ValueError("position needs a target")
         right, up = self._axes()
         if self.position is not None:
-            lowest = self.position[2] - self.width / 2 * (abs(right[2]) + image_aspect(self) * abs(up[2]))
+            lowest = self.position[2] - self.width / 2 * (abs(right[2]) + self._aspect * abs(up[2]))
             if lowest < -1e-9:
                 raise ValueError(f"the image's edge lies {-lowest:.3g} km below the ground, z = 0: raise position")
         return self
+
+    @property
+    def _aspect(self) -> float:
+        """Height of the image over its width."""
+        return self.pixels[1] / self.pixels[0] if self.aspect is None else self.aspect
+
+    def with_pixels(self, pixels: Pixels) -> View:
+        """The same field of view in other pixels (width, height); also where these are not square."""
+        return replace(self, pixels=pixels, aspect=self._aspect)
 
     def _sight(self) -> np.ndarray:
         if self.position is not None and self.target is not None:
@@ -167,16 +202,14 @@ class OrthographicView:
 
     def _axes(self) -> tuple[np.ndarray, np.ndarray]:
         """Unit vectors to the right and up in the image."""
-        sight = self._sight()
-        vertical = np.hypot(sight[0], sight[1]) < 1e-6
-        return image_axes(sight, self.up or ((0.0, 1.0, 0.0) if vertical else (0.0, 0.0, 1.0)))
+        return image_axes(self._sight(), self.up)
 
     def rays(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-        """Ray origins (km) and directions as affine functions of (u, v); see PerspectiveView."""
-        height = self.width * image_aspect(self)
-        sight = self._sight()
+        """See AffineView."""
+        sight, (right, up) = self._sight(), self._axes()
+        height = self.width * self._aspect
         if self.position is not None:
-            centre = np.asarray(self.position)
+            centre = self._nearer(np.asarray(self.position), grid)
         else:
             assert self.zenith is not None
             target = np.asarray(grid.centre if self.target is None else self.target)
@@ -184,15 +217,107 @@ class OrthographicView:
             top = grid.origin[2] + grid.extent[2]
             rise = top - target[2] + (self.width + height) * np.sin(np.radians(self.zenith))
             centre = target - sight * max(rise, 0.0) / np.cos(np.radians(self.zenith))
-        right, up = self._axes()
         corner = centre - self.width / 2 * right + height / 2 * up
         return np.array([corner, self.width * right, -height * up]), np.array([sight, np.zeros(3), np.zeros(3)])
 
-    def project(self, grid: Grid, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where points appear in the image; see PerspectiveView."""
-        origin, axes = self.rays(grid)
-        depth, u, v = solve_affine(np.array([axes[0], origin[1], origin[2]]), points - origin[0])
-        return u, v, depth
+    def _nearer(self, centre: np.ndarray, grid: Grid) -> np.ndarray:
+        """The image plane's centre, moved down along its rays to just above the domain.
+
+        They see the same from there, and single precision is some metres at the distance of a
+        geostationary satellite.
+        """
+        sight, (right, up) = self._sight(), self._axes()
+        if sight[2] >= 0:
+            return centre
+        corners = np.stack(np.meshgrid(*zip(grid.origin, np.add(grid.origin, grid.extent))), axis=-1)
+        lowest = centre[2] - self.width / 2 * (abs(right[2]) + self._aspect * abs(up[2]))
+        above = (lowest - grid.origin[2] - grid.extent[2]) / -sight[2]
+        return centre + max(0.0, min(((corners - centre) @ sight).min(), above)) * sight
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class PushBroomView(AffineView):
+    """A line scanner on a straight and level flight track: perspective across it, parallel along it.
+
+    The image is seen with the flight direction up: row 0 is the end of the track (the line that
+    was scanned last), columns run from the left to the right of the flight. A flight to the
+    north gives an image with north up and east on the right.
+
+    Attributes
+    ----------
+    start, end : of the track, km, at the same height
+    field_of_view : degrees, across the track
+    pixels : (across, along) the track
+    along_track_angle : degrees from nadir in which the scanner looks, positive ahead (fore),
+        negative back (aft)
+    """
+
+    start: Triple
+    end: Triple
+    field_of_view: Annotated[float, Field(gt=0, lt=180)]
+    pixels: Pixels
+    along_track_angle: Annotated[float, Field(gt=-90, lt=90)] = 0.0
+    type: Literal["push-broom"] = "push-broom"
+
+    @model_validator(mode="after")
+    def _check(self) -> PushBroomView:
+        if self.start[2] != self.end[2]:
+            raise ValueError(f"start is at {self.start[2]} km, end at {self.end[2]} km: the track must be level")
+        if self.start[:2] == self.end[:2]:
+            raise ValueError("start and end are the same point: move one of them")
+        if self.start[2] < 0:
+            raise ValueError("the track lies below the ground, z = 0: raise it")
+        return self
+
+    def rays(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+        """See AffineView."""
+        ahead, down = line_of_sight(self.start, self.end), np.array([0.0, 0.0, -1.0])
+        right = np.cross(ahead, -down)
+        angle = np.radians(self.along_track_angle)
+        sight = np.cos(angle) * down + np.sin(angle) * ahead
+        width = 2 * np.tan(np.radians(self.field_of_view) / 2)
+        origin = np.array([self.end, np.zeros(3), np.subtract(self.start, self.end)])
+        return origin, np.array([sight - width / 2 * right, width * right, np.zeros(3)])
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class RadiometerView(AffineView):
+    """The radiance that leaves the domain's top, or reaches its bottom, in one direction.
+
+    As in I3RC, pixels tile the horizontal plane of the top: a pixel is the mean over its area,
+    not over an area across the rays, and an oblique ray goes on from there through the sides
+    or, in a periodic domain, through its copies. The image is a map: row 0 is north (largest
+    y), columns run from west to east, also when it looks up.
+
+    Attributes
+    ----------
+    zenith, azimuth : of the direction from the scene to the sensor, degrees. Below 90 the radiance
+        leaves the top; above, it reaches the bottom, and the sensor looks up.
+    pixels : (along x, along y); `of_columns` has one for each column of a grid
+    """
+
+    zenith: Annotated[float, Field(ge=0, le=180)]
+    pixels: Pixels
+    azimuth: Angle = 0.0
+    type: Literal["radiometer"] = "radiometer"
+
+    @model_validator(mode="after")
+    def _check(self) -> RadiometerView:
+        if abs(direction(self.zenith, self.azimuth)[2]) < 1e-6:
+            raise ValueError("zenith is 90: no horizontal ray crosses the domain's top or bottom; tilt it")
+        return self
+
+    @classmethod
+    def of_columns(cls, grid: Grid, zenith: float, azimuth: float = 0.0) -> RadiometerView:
+        """With a pixel for each column of a grid."""
+        return cls(zenith=zenith, azimuth=azimuth, pixels=grid.shape[:2])
+
+    def rays(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+        """See AffineView."""
+        (east, north, up), sight = grid.extent, -direction(self.zenith, self.azimuth)
+        corner = np.add(grid.origin, (0.0, north, up if sight[2] < 0 else 0.0))
+        origin = np.array([corner, (east, 0.0, 0.0), (0.0, -north, 0.0)])
+        return origin, np.array([sight, np.zeros(3), np.zeros(3)])
 
 
 def _rows_of_three(values: Any) -> np.ndarray:
@@ -248,7 +373,8 @@ class RayView:
         if (self.origins[:, 2] < 0).any():
             row = int(np.argmax(self.origins[:, 2] < 0))
             raise ValueError(f"origins: row {row} lies below the ground, z = 0: raise it")
-        directions = self.directions / length
+        # Unit vectors stay the same to the bit, so that views are equal when they are read back.
+        directions = self.directions / np.where(np.abs(length - 1) < 1e-14, 1.0, length)
         directions.setflags(write=False)
         object.__setattr__(self, "directions", directions)
         if self.pixels is None:
@@ -312,4 +438,6 @@ def clip_to_box(
     return np.maximum(enters, 0.0), leaves
 
 
-View = Annotated[PerspectiveView | OrthographicView | RayView, Field(discriminator="type")]
+View = Annotated[
+    PerspectiveView | OrthographicView | PushBroomView | RadiometerView | RayView, Field(discriminator="type")
+]

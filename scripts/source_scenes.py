@@ -10,7 +10,6 @@ folder that holds scene_c.nc and scene_f.nc.
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import subprocess
 import sys
@@ -41,24 +40,6 @@ def settings(name: str, data: Path) -> str:
     """The scene's TOML."""
     scene = SCENES[name]
     target = (scene.centre, scene.centre, scene.target_height)
-    positions = [(scene.centre, scene.centre, scene.height)]
-    for k in range(8):
-        angle = k * math.pi / 4
-        x = scene.centre + scene.ring_radius * math.cos(angle)
-        y = scene.centre + scene.ring_radius * math.sin(angle)
-        positions.append((x, y, scene.height))
-    views = [
-        f"""
-[[view]]
-type = "perspective"
-position = [{position[0]:.6f}, {position[1]:.6f}, {position[2]:.6f}]
-target = [{target[0]}, {target[1]}, {target[2]}]
-up = {[0, 1, 0] if index == 0 else [0, 0, 1]}
-field_of_view = {scene.field_of_view}
-pixels = [{scene.pixels}, {scene.pixels}]
-"""
-        for index, position in enumerate(positions)
-    ]
     return f"""[cloud]
 file = "{data / f"scene_{name}.nc"}"
 single_scattering_albedo = 1.0
@@ -67,7 +48,14 @@ phase_function = {{ type = "henyey-greenstein", g = 0.85 }}
 albedo = 0.01
 [sun]
 zenith = 0.0
-{"".join(views)}"""
+[[view]]
+type = "ring"
+target = {[*target]}
+height = {scene.height}
+radius = {scene.ring_radius}
+field_of_view = {scene.field_of_view}
+pixels = {[scene.pixels, scene.pixels]}
+"""
 
 
 def main() -> int:

@@ -6,13 +6,16 @@ from cloudtomo_cl import reference
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.phase import HenyeyGreenstein
 from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, RayView
+from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
 
 GRID = Grid(shape=(3, 4, 3), spacing=(0.1, 0.08, 0.12), origin=(0.5, -0.2, 0.2))
 PERIODIC = Boundary(horizontal="periodic")
 
 ABOVE = OrthographicView(width=0.45, pixels=(3, 3), zenith=25, azimuth=200)
 CAMERA = PerspectiveView((0.6, -0.6, 1.0), (0.65, -0.05, 0.3), 35.0, (3, 3))
+SCANNER = PushBroomView((0.5, -0.3, 0.9), (0.8, 0.2, 0.9), 40.0, (2, 2), along_track_angle=15.0)
+RADIOMETER = RadiometerView(zenith=50, azimuth=160, pixels=(2, 2))
+RADIOMETER_BELOW = RadiometerView(zenith=150, azimuth=70, pixels=(2, 2))
 # From above and beside, from far away, from the ground, from inside; two pass the domain by.
 RAYS = RayView(
     origins=[

@@ -7,7 +7,7 @@ from cloudtomo_cl import reference
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.layout import ray_array, scene_struct, view_structs
 from cloudtomo_cl.scene import Scene, Sun
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, RayView
+from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
 
 GRID = Grid(shape=(4, 4, 5), spacing=(0.1, 0.1, 0.05), origin=(1.0, -2.0, 0.3))
 SEED = 11
@@ -18,6 +18,15 @@ VIEWS = {
     "orthographic, nadir": OrthographicView(width=0.5, pixels=(5, 3), zenith=0),
     "orthographic, oblique": OrthographicView(width=0.8, pixels=(3, 4), zenith=60, azimuth=110),
     "orthographic, from a place": OrthographicView(0.5, (4, 4), position=(0, -2, 0.4), target=(1.2, -1.8, 0.7)),
+    "perspective, from the ground": PerspectiveView((1.2, -1.8, 0.0), (1.2, -1.8, 1.0), 80.0, (5, 5)),
+    "orthographic, from 36000 km": OrthographicView(
+        0.6, (4, 3), position=(12001.2, -9001.8, 36000.5), target=(1.2, -1.8, 0.5)
+    ),
+    "push-broom, nadir": PushBroomView((1.2, -2.1, 1.5), (1.2, -1.5, 1.5), 60.0, (5, 3)),
+    "push-broom, aft": PushBroomView((0.4, -2.2, 2.0), (1.1, -1.7, 2.0), 25.0, (4, 6), along_track_angle=-45.6),
+    "radiometer, nadir": RadiometerView.of_columns(GRID, zenith=0),
+    "radiometer, oblique": RadiometerView(zenith=60, azimuth=180, pixels=(8, 2)),
+    "radiometer, looking up": RadiometerView(zenith=130, azimuth=-50, pixels=(4, 4)),
 }
 RAYS = RayView(
     origins=[(0.2, -3, 1.5), (1.2, -1.8, 2.0), (1.1, -1.9, 0.4), (700, -1.9, 900), (1.2, -1.8, 0.0), (0, 0, 700)],
@@ -60,7 +69,7 @@ def angles(view, column, row):
     """Degrees to the right of and above the line of sight."""
     _, direction = reference.camera_ray(view, GRID, column, row)
     sight = np.subtract(view.target, view.position) / np.linalg.norm(np.subtract(view.target, view.position))
-    right = np.cross(sight, view.up)
+    right = np.cross(sight, (0, 0, 1))
     right /= np.linalg.norm(right)
     forward = direction @ sight
     return np.degrees(np.arctan([direction @ right / forward, direction @ np.cross(right, sight) / forward]))
@@ -82,8 +91,8 @@ def test_the_affine_rays_of_a_view_agree_with_the_reference_at_corners_and_centr
         found = direction[0] + u * direction[1] + v * direction[2]
         np.testing.assert_allclose(found / np.linalg.norm(found), expected, atol=1e-12)
         apart = origin[0] + u * origin[1] + v * origin[2] - start
-        np.testing.assert_allclose(np.cross(apart, expected), 0, atol=1e-12)
-
+        # A satellite's own coordinates have 16 digits.
+        np.testing.assert_allclose(np.cross(apart, expected), 0, atol=max(1e-12, 1e-15 * np.abs(start).max()))
 
 
 def test_row_0_of_an_oblique_image_looks_highest(probe):
@@ -104,6 +113,37 @@ def test_a_nadir_image_has_north_at_the_top_and_east_on_the_right(probe):
     np.testing.assert_allclose(directions, [[0, 0, -1]] * 15, atol=1e-7)
     assert np.all(np.diff(origins[:, 1].reshape(3, 5).mean(axis=1)) < 0)
     assert np.all(np.diff(origins[:, 0].reshape(3, 5).mean(axis=0)) > 0)
+
+
+def test_a_radiometer_has_a_pixel_for_each_column(probe):
+    origins, _ = rays(probe, RadiometerView.of_columns(GRID, zenith=48, azimuth=20), sample=2)
+    columns = np.floor((origins[:, :2] - GRID.origin[:2]) / GRID.spacing[:2]).reshape(4, 4, 2)
+    np.testing.assert_array_equal(columns[..., 0], [[0, 1, 2, 3]] * 4)
+    np.testing.assert_array_equal(columns[..., 1].T, [[3, 2, 1, 0]] * 4)
+    np.testing.assert_allclose(origins[:, 2], 0.55, atol=1e-7)
+
+
+def test_a_radiometer_that_looks_up_is_at_the_bottom(probe):
+    origins, directions = rays(probe, VIEWS["radiometer, looking up"])
+    np.testing.assert_allclose(origins[:, 2], 0.3, atol=1e-7)
+    assert np.all(directions[:, 2] > 0)
+
+
+def test_a_push_broom_image_has_the_end_of_the_track_at_the_top_and_its_right_on_the_right(probe):
+    origins, directions = rays(probe, VIEWS["push-broom, nadir"])  # flies north
+    assert np.all(np.diff(origins[:, 1].reshape(3, 5).mean(axis=1)) < 0)
+    assert np.all(np.diff(directions[:, 0].reshape(3, 5).mean(axis=0)) > 0)
+    np.testing.assert_allclose(directions[:, 1], 0, atol=1e-7)
+
+
+@pytest.mark.parametrize("distance", [0, 1, 700, 36_000])
+def test_a_ray_from_far_away_keeps_its_line(probe, distance):
+    point, direction = np.array([1.23456, -1.87654, 0.4]), np.array([0.48, 0.6, -0.64])
+    view = RayView([point - distance * direction], [direction])
+    origins, directions = rays(probe, view)
+    apart = origins[0] - point
+    np.testing.assert_allclose(apart - (apart @ direction) * direction, 0, atol=3e-7)
+    np.testing.assert_allclose(directions[0], direction, atol=1e-7)
 
 
 def test_pixels_of_an_orthographic_image_are_square(probe):

@@ -9,7 +9,20 @@ paths. Hence 99 %, not all, and 95 % of those that gather light at all.
 
 import numpy as np
 import pytest
-from scenes import ABOVE, CAMERA, ESTIMATORS, RAYS, SCENES, extinction_of, kernel_paths, radiances, reference_paths
+from scenes import (
+    ABOVE,
+    CAMERA,
+    ESTIMATORS,
+    RADIOMETER,
+    RADIOMETER_BELOW,
+    RAYS,
+    SCANNER,
+    SCENES,
+    extinction_of,
+    kernel_paths,
+    radiances,
+    reference_paths,
+)
 
 from cloudtomo_cl.transport import RadianceOperator
 
@@ -20,7 +33,8 @@ SEED, ITERATION, SAMPLES = 5, 9, 30
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
 def test_paths_have_the_radiances_of_the_reference(device, scene, estimator):
     extinction = extinction_of(scene)
-    operator = RadianceOperator(scene, [ABOVE, CAMERA, RAYS], device, estimator=estimator)
+    views = [ABOVE, CAMERA, RAYS, SCANNER, RADIOMETER, RADIOMETER_BELOW]
+    operator = RadianceOperator(scene, views, device, estimator=estimator)
     rendering = operator.render(extinction, SAMPLES, seed=SEED, iteration=ITERATION, keep_paths=True)
     found = kernel_paths(rendering)
     expected = radiances(reference_paths(scene, extinction, operator, SAMPLES, SEED, ITERATION))

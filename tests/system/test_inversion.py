@@ -91,3 +91,18 @@ def test_plain_gradient_descent_lowers_the_cost(problem, device):
     error = np.sqrt(sum(record.cost_standard_error**2 for record in history[-5:])) / 5
     # 4 standard errors: a significance of 3e-5.
     assert history[0].cost - np.mean(last) > 4 * np.hypot(history[0].cost_standard_error, error)
+
+
+def test_lists_of_rays_take_part_in_every_stage(problem, device):
+    scene, measurements, truth = problem
+    above = ct.RadiometerView.of_columns(scene.grid, zenith=0)
+    origin, _ = above.rays(scene.grid)
+    places = (np.arange(8) + 0.5) / 8
+    origins = [origin[0] + u * origin[1] + v * origin[2] for v in places for u in places]
+    view = ct.RayView(origins, [(0, 0, -1)] * 64, (8, 8))
+    operator = ct.RadianceOperator(scene, [view], device)
+    image = operator.images(operator.render(truth, 512, seed=1).mean)[0]
+    rays = ct.Measurements((view,), (image,), (np.zeros_like(image),))
+    result = recover((scene, rays, truth), device, seed=2)
+    start = np.where(truth > 0, 2.0, 0.0)
+    assert ct.epsilon(result.extinction, truth) < 0.9 * ct.epsilon(start, truth)

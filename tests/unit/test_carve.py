@@ -10,7 +10,7 @@ from cloudtomo_cl.carving import carve, cloudy_pixels, coarsened, pixels_that_me
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.measurements import Measurements
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
 
 GRID = Grid(shape=(8, 8, 4), spacing=(0.1, 0.1, 0.1))
 # Each pixel looks down one column of voxels.
@@ -184,3 +184,41 @@ def test_a_sensor_inside_the_mask_sees_all_that_the_domain_shows():
     )
     mask = np.ones(GRID.shape, dtype=bool)
     assert pixels_that_see(view, GRID, mask).all()
+
+
+@pytest.mark.parametrize(
+    "view",
+    [
+        RadiometerView.of_columns(GRID, zenith=0),
+        # From so high that its fan is narrower than a voxel is high: each pixel looks down one column.
+        PushBroomView((0.4, 0.0, 200.0), (0.4, 0.8, 200.0), np.degrees(2 * np.arctan(0.4 / 200)), (8, 8)),
+    ],
+)
+def test_line_scanners_and_radiometers_carve_as_a_view_from_above(view):
+    mask = carve(GRID, *images([view], [(0, 0, 2)]))
+    assert mask[2, 7].all()
+    others = mask.copy()
+    others[1:4, 7] = False  # a neighbour's edge may lie in the pixel
+    assert not others[1:-1, :].any()
+
+
+# Down through the middle of the lowest layer's columns (2, 7) and (5, 3), and past the domain.
+DOWN = RayView([(0.25, 0.75, 9), (0.55, 0.35, 9), (5, 5, 9)], [(0, 0, -1)] * 3)
+
+
+def test_lists_of_rays_rule_out_nothing():
+    assert carve(GRID, *images([DOWN], [(0, 0, 0)])).all()
+
+
+def test_pixels_of_a_list_of_rays_have_no_neighbours():
+    rays = RayView([(0.05 + 0.1 * i, 0.4, 9) for i in range(8)], [(0, 0, -1)] * 8)
+    (cloudy,) = cloudy_pixels(*images([rays], [(0, 0, 1), (0, 0, 3)]))
+    np.testing.assert_array_equal(cloudy, [[False, True, False, True, False, False, False, False]])
+
+
+def test_rays_that_meet_the_domain_and_a_mask():
+    mask = np.zeros(GRID.shape, bool)
+    mask[2, 7, 0] = True
+    np.testing.assert_array_equal(pixels_that_meet(DOWN, GRID), [[True, True, False]])
+    np.testing.assert_array_equal(pixels_that_see(DOWN, GRID, mask), [[True, False, False]])
+    assert not pixels_that_see(DOWN, GRID, np.zeros(GRID.shape, bool)).any()

@@ -12,7 +12,8 @@ import xarray as xr
 from cloudtomo_cl import commands
 from cloudtomo_cl.cli import main
 from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.io import write_extinction
+from cloudtomo_cl.io import write_extinction, write_rays
+from cloudtomo_cl.sensors import RayView
 
 SCENE = """
 [cloud]
@@ -282,3 +283,45 @@ def test_cloud_that_cannot_be_writes_nothing(folder, capsys, arguments, message)
     before = sorted(folder.iterdir())
     assert message in fails(capsys, "cloud", *arguments.split())
     assert sorted(folder.iterdir()) == before
+
+
+def test_every_type_of_view_is_rendered_and_reconstructed(folder):
+    write_rays(folder / "rays.nc", RayView([(x, 0.3, 0.0) for x in (0.2, 0.3, 0.4)], [(0, 0, 1)] * 3))
+    views = """
+[[view]]
+type = "rays"
+file = "rays.nc"
+[[view]]
+type = "push-broom"
+start = [0.3, 0.0, 5.0]
+end = [0.3, 0.6, 5.0]
+field_of_view = 7.0
+pixels = [9, 9]
+[[view]]
+type = "radiometer"
+zenith = 0.0
+pixels = [6, 6]
+[[view]]
+type = "ring"
+target = [0.3, 0.3, 0.3]
+height = 2.0
+radius = 1.0
+count = 2
+field_of_view = 30.0
+pixels = [9, 9]
+"""
+    (folder / "scene.toml").write_text(SCENE + views)
+    assert main("render scene.toml --samples 16 --output images.nc --png previews --quiet".split()) == 0
+    assert len(list((folder / "previews").iterdir())) == 8
+    assert main("reconstruct run.toml --output run --quiet".split()) == 0
+    with xr.open_dataset("images.nc") as images:
+        assert images.view_type.values.tolist()[2:] == ["rays", "push-broom", "radiometer"] + ["perspective"] * 3
+    assert (folder / "run" / "figures" / "images.png").is_file()
+
+
+def test_a_file_of_rays_that_is_unfit_is_named(folder, capsys):
+    (folder / "rays.nc").write_text("not netCDF")
+    (folder / "scene.toml").write_text(SCENE + '[[view]]\ntype = "rays"\nfile = "rays.nc"\n')
+    assert main("render scene.toml --samples 16 --output images.nc".split()) == 2
+    assert "rays.nc: not a netCDF file" in capsys.readouterr().err
+    assert not (folder / "images.nc").exists()

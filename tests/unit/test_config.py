@@ -159,7 +159,17 @@ WRONG_SCENES = {
     "unknown projection": ('"perspective"', '"fisheye"', "view[0] has type 'fisheye': allowed are 'perspective'"),
     "view below the ground": ("1.9]", "-1.9]", "view[0] is wrong: position lies below the ground"),
     "view from its target": ("[2.4, -1.0, 1.9]", "[0.6, 0.4, 0.4]", "view[0] is wrong: position and target are the"),
-    "view looking along up": ("[2.4, -1.0, 1.9]", "[0.6, 0.4, 1.9]", "view[0] is wrong: up is parallel"),
+    "view looking along up": ("[2.4, -1.0, 1.9]", "[0.6, 0.4, 1.9]\nup = [0, 0, 1]", "view[0] is wrong: up is"),
+    "no such file of rays": (
+        'type = "perspective"',
+        'type = "rays"\nfile = "rays.nc"\n#',
+        "view[0].file is wrong: there is no file",
+    ),
+    "misspelt key of a ring": (
+        'type = "perspective"',
+        'type = "ring"\nradiuss = 1.0\n#',
+        "view[0].radiuss is no known key: did you mean radius?",
+    ),
     "one table for a list": ("[[view]]", "[view]", "view must be a list of tables: write [[view]]"),
     "no such file": ("cloud.nc", "clod.nc", "cloud.file is wrong: there is no file"),
     "tables of a run": ("[sun]", "[optimizer]\n[sun]", "optimizer is no known key (allowed: air, boundary"),

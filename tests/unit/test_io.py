@@ -11,7 +11,7 @@ from cloudtomo_cl import io
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.measurements import Measurements
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
 
 GRID = Grid(shape=(3, 4, 5), spacing=(0.02, 0.02, 0.04))
 
@@ -215,6 +215,81 @@ def test_measurements_come_back_exactly(tmp_path):
     for name in ("images", "standard_errors"):
         for array, expected in zip(getattr(read, name), getattr(measurements, name)):
             np.testing.assert_array_equal(array, expected)
+
+
+def every_kind_of_view():
+    generator = np.random.default_rng(2)
+    first, second = (
+        RayView(generator.uniform(size=(count, 3)), generator.normal(size=(count, 3)), pixels)
+        for count, pixels in ((6, (3, 2)), (5, (5, 1)))
+    )
+    return (
+        first,
+        PushBroomView((0.1, 0.2, 1 / 3), (0.4, 0.1, 1 / 3), 100 / 3, (3, 4), -26.1),
+        RadiometerView(zenith=100 / 3, azimuth=12.0, pixels=(2, 4)),
+        second,
+        PerspectiveView((0.1, 0.2, 0.0), (0.1, 0.2, 1.0), 90.0, (4, 4), aspect=1.1),
+    )
+
+
+def test_views_of_every_kind_come_back_exactly(tmp_path):
+    views = every_kind_of_view()
+    images = tuple(np.ones(view.pixels[::-1]) for view in views)
+    io.write_measurements(tmp_path / "images.nc", Measurements(views, images, images))
+    assert io.read_measurements(tmp_path / "images.nc").views == views
+
+
+def test_rays_come_back_exactly(tmp_path):
+    view = every_kind_of_view()[0]
+    io.write_rays(tmp_path / "rays.nc", view)
+    assert io.read_rays(tmp_path / "rays.nc") == view
+
+
+def test_rays_of_another_program_may_be_in_metres(tmp_path):
+    variables = {
+        "origin": (("axis", "ray"), [[100.0, 200.0], [0.0, 0.0], [2000.0, 2000.0]], {"units": "m"}),
+        "direction": (("ray", "axis"), [[0, 0, -2], [3, 0, -4]]),
+    }
+    xr.Dataset(variables).to_netcdf(tmp_path / "rays.nc")
+    expected = RayView([(0.1, 0, 2), (0.2, 0, 2)], [(0, 0, -1), (0.6, 0, -0.8)], (2, 1))
+    assert io.read_rays(tmp_path / "rays.nc") == expected
+
+
+@pytest.mark.parametrize(
+    ("variables", "attributes", "message"),
+    [
+        ({"origin": np.ones((2, 3))}, {}, r"no variable direction\(ray, axis\)"),
+        ({"origin": np.ones((2, 3)), "direction": np.zeros((2, 3))}, {}, "rays are not possible: .*row 0 is zero"),
+        ({"origin": np.ones((2, 2)), "direction": np.ones((2, 2))}, {}, r"rays are not possible: .*shape \(2, 2\)"),
+        ({"origin": np.ones((2, 3)), "direction": np.ones((2, 3))}, {"image_width": 3}, "3 x 1 for 2 rays"),
+        ({"origin": np.ones((2, 3)), "direction": np.ones((2, 3))}, {"image_width": "wide"}, "pixels"),
+    ],
+)
+def test_unfit_rays_are_named(tmp_path, variables, attributes, message):
+    dataset = xr.Dataset({name: (("ray", "axis"), values) for name, values in variables.items()}, attrs=attributes)
+    dataset.to_netcdf(tmp_path / "rays.nc")
+    with pytest.raises(DataError, match=message):
+        io.read_rays(tmp_path / "rays.nc")
+
+
+def test_a_file_without_its_rays_is_named(tmp_path):
+    views = every_kind_of_view()
+    images = tuple(np.ones(view.pixels[::-1]) for view in views)
+    io.write_measurements(tmp_path / "images.nc", Measurements(views, images, images))
+    with xr.open_dataset(tmp_path / "images.nc") as data:
+        data.load().drop_vars("ray_direction").to_netcdf(tmp_path / "wrong.nc")
+    with pytest.raises(DataError, match=r"no variable ray_direction\(ray, axis\)"):
+        io.read_measurements(tmp_path / "wrong.nc")
+
+
+def test_a_file_that_is_short_of_rays_is_named(tmp_path):
+    views = every_kind_of_view()
+    images = tuple(np.ones(view.pixels[::-1]) for view in views)
+    io.write_measurements(tmp_path / "images.nc", Measurements(views, images, images))
+    with xr.open_dataset(tmp_path / "images.nc") as data:
+        data.load().isel(ray=slice(0, 9)).to_netcdf(tmp_path / "wrong.nc")
+    with pytest.raises(DataError, match="view 3 is not possible: .*5 x 1 for 3 rays"):
+        io.read_measurements(tmp_path / "wrong.nc")
 
 
 def test_images_are_padded_with_nan(tmp_path):

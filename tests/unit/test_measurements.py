@@ -6,7 +6,7 @@ import pytest
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.measurements import Measurements
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, RayView
 
 
 def measurements(random, width=12, height=8):
@@ -43,6 +43,18 @@ def test_negative_standard_errors_are_refused(random):
 
 def test_shares_keep_at_least_eight_pixels(random):
     assert measurements(random, 40, 20).at_share(0.25).views[0].pixels == (10, 8)
+
+
+def test_lists_of_rays_keep_their_pixels(random):
+    rays = RayView(np.ones((400, 3)), np.ones((400, 3)), (20, 20))
+    above = OrthographicView(zenith=0, width=1.0, pixels=(40, 40))
+    images = tuple(random.random(view.pixels[::-1]) for view in (rays, above))
+    coarse = Measurements((rays, above), images, images).at_share(0.5)
+    assert [view.pixels for view in coarse.views] == [(20, 20), (20, 20)]
+    assert coarse.views[0] is rays
+    np.testing.assert_array_equal(coarse.images[0], images[0])
+    with pytest.raises(DataError, match="list of rays"):
+        coarse.resampled([(10, 10), (10, 10)])
 
 
 def test_images_of_another_size_than_their_view_are_refused(random):
