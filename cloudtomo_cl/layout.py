@@ -119,8 +119,8 @@ def scene_struct(scene: Scene, side_flights: bool = False, truncation: float = n
     return struct
 
 
-def view_structs(views: Sequence[View], grid: Grid) -> np.ndarray:
-    """The kernels' View of every view, shape (views,)."""
+def view_structs(views: Sequence[View], grid: Grid, top: float | None = None) -> np.ndarray:
+    """The kernels' View of every view, shape (views,); `top` as in `AffineView.rays`."""
     structs = np.zeros(len(views), STRUCTS["View"])
     rays = 0
     for struct, view in zip(structs, views):
@@ -129,7 +129,7 @@ def view_structs(views: Sequence[View], grid: Grid) -> np.ndarray:
             struct["first_ray"] = rays
             rays += len(view.origins)
             continue
-        origin, direction = view.rays(grid)
+        origin, direction = view.rays(grid, top)
         origin = origin.copy()
         origin[0] -= grid.origin
         struct["origin"] = origin.ravel()
@@ -167,9 +167,8 @@ def ray_array(views: Sequence[View], scene: Scene) -> np.ndarray:
     Returns an array (rays, 6), float32: origins in km from the domain's lower corner,
     directions. It has one ray that nobody looks at if there is no such view.
     """
-    periodic = scene.boundary.horizontal == "periodic"
     arrays = [
-        np.hstack([view.starts(scene.grid, periodic) - scene.grid.origin, view.directions])
+        np.hstack([view.starts(scene) - scene.grid.origin, view.directions])
         for view in views
         if isinstance(view, RayView)
     ]

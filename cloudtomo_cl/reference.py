@@ -127,7 +127,8 @@ def camera_ray(view: View, grid: Grid, column: float, row: float) -> tuple[np.nd
     if view.position is not None:
         return np.array(view.position, float) + offset, sight
     centre = np.array(grid.centre if view.target is None else view.target, float) + offset
-    return centre - sight * (max(top - centre[2], 0.0) / -sight[2] + sum(grid.extent)), sight
+    # From above any atmosphere.
+    return centre - sight * (max(top - centre[2], 0.0) + 100.0) / -sight[2], sight
 
 
 # --- flights ----------------------------------------------------------------------------

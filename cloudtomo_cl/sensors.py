@@ -17,7 +17,7 @@ from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, WithJso
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.grid import Count, Grid, Length, Triple
-from cloudtomo_cl.scene import Angle, direction
+from cloudtomo_cl.scene import Angle, Scene, direction
 
 Pixels = tuple[Count, Count]
 
@@ -56,8 +56,13 @@ class AffineView:
 
     pixels: Pixels
 
-    def rays(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    def rays(self, grid: Grid, top: float | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Ray origins (km) and directions as affine functions of (u, v).
+
+        Parameters
+        ----------
+        grid : of the domain
+        top : km, the height above which there is nothing; by default the domain's top
 
         Returns two arrays of shape (3, 3): the value at (0, 0), its change over u, over v.
         Along each image coordinate either the origin changes or the direction, not both.
@@ -132,7 +137,7 @@ class PerspectiveView(AffineView):
         """The same field of view in other pixels (width, height); also where these are not square."""
         return replace(self, pixels=pixels, aspect=self._aspect)
 
-    def rays(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    def rays(self, grid: Grid, top: float | None = None) -> tuple[np.ndarray, np.ndarray]:
         """See AffineView."""
         sight = line_of_sight(self.position, self.target)
         right, up = image_axes(sight, self.up)
@@ -204,24 +209,24 @@ class OrthographicView(AffineView):
         """Unit vectors to the right and up in the image."""
         return image_axes(self._sight(), self.up)
 
-    def rays(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    def rays(self, grid: Grid, top: float | None = None) -> tuple[np.ndarray, np.ndarray]:
         """See AffineView."""
         sight, (right, up) = self._sight(), self._axes()
         height = self.width * self._aspect
+        top = grid.origin[2] + grid.extent[2] if top is None else top
         if self.position is not None:
-            centre = self._nearer(np.asarray(self.position), grid)
+            centre = self._nearer(np.asarray(self.position), grid, top)
         else:
             assert self.zenith is not None
             target = np.asarray(grid.centre if self.target is None else self.target)
-            # Far enough up that the whole image plane lies above the domain.
-            top = grid.origin[2] + grid.extent[2]
+            # Far enough up that the whole image plane lies in the void.
             rise = top - target[2] + (self.width + height) * np.sin(np.radians(self.zenith))
             centre = target - sight * max(rise, 0.0) / np.cos(np.radians(self.zenith))
         corner = centre - self.width / 2 * right + height / 2 * up
         return np.array([corner, self.width * right, -height * up]), np.array([sight, np.zeros(3), np.zeros(3)])
 
-    def _nearer(self, centre: np.ndarray, grid: Grid) -> np.ndarray:
-        """The image plane's centre, moved down along its rays to just above the domain.
+    def _nearer(self, centre: np.ndarray, grid: Grid, top: float) -> np.ndarray:
+        """The image plane's centre, moved down along its rays to above `top` and before the domain.
 
         They see the same from there, and single precision is some metres at the distance of a
         geostationary satellite.
@@ -231,8 +236,8 @@ class OrthographicView(AffineView):
             return centre
         corners = np.stack(np.meshgrid(*zip(grid.origin, np.add(grid.origin, grid.extent))), axis=-1)
         lowest = centre[2] - self.width / 2 * (abs(right[2]) + self._aspect * abs(up[2]))
-        above = (lowest - grid.origin[2] - grid.extent[2]) / -sight[2]
-        return centre + max(0.0, min(((corners - centre) @ sight).min(), above)) * sight
+        void = min(((corners - centre) @ sight).min(), (lowest - top) / -sight[2])
+        return centre + max(void, 0.0) * sight
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
@@ -269,7 +274,7 @@ class PushBroomView(AffineView):
             raise ValueError("the track lies below the ground, z = 0: raise it")
         return self
 
-    def rays(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    def rays(self, grid: Grid, top: float | None = None) -> tuple[np.ndarray, np.ndarray]:
         """See AffineView."""
         ahead, down = line_of_sight(self.start, self.end), np.array([0.0, 0.0, -1.0])
         right = np.cross(ahead, -down)
@@ -312,7 +317,7 @@ class RadiometerView(AffineView):
         """With a pixel for each column of a grid."""
         return cls(zenith=zenith, azimuth=azimuth, pixels=grid.shape[:2])
 
-    def rays(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    def rays(self, grid: Grid, top: float | None = None) -> tuple[np.ndarray, np.ndarray]:
         """See AffineView."""
         (east, north, up), sight = grid.extent, -direction(self.zenith, self.azimuth)
         corner = np.add(grid.origin, (0.0, north, up if sight[2] < 0 else 0.0))
@@ -394,16 +399,21 @@ class RayView:
     def __hash__(self) -> int:
         return hash((self.pixels, self.origins.tobytes(), self.directions.tobytes()))
 
-    def starts(self, grid: Grid, periodic: bool) -> np.ndarray:
+    def starts(self, scene: Scene) -> np.ndarray:
         """Points from which the rays see the same, but close to the domain: km, shape (rays, 3).
 
         Kernels have single precision, which is some metres at the distance of a satellite. A ray
-        that comes from outside starts where it enters the domain, or, if it passes the domain by
-        on its way down, at the ground. In a periodic domain it starts within the domain.
+        that comes through a void starts where it enters the domain (or the atmosphere, with air
+        outside of the grid), or, if it passes the domain by on its way down, at the ground. In a
+        periodic domain it starts within the domain.
         """
-        lower, extent = np.asarray(grid.origin), np.asarray(grid.extent)
-        axes = [2] if periodic else [0, 1, 2]
-        near, far = clip_to_box(self.origins, self.directions, lower, lower + extent, axes)
+        lower, upper = np.array(scene.grid.origin), np.add(scene.grid.origin, scene.grid.extent)
+        extent, periodic = scene.grid.extent, scene.boundary.horizontal == "periodic"
+        air_outside = scene.air is not None and scene.air.is_outside
+        axes = [2] if periodic or air_outside else [0, 1, 2]
+        if air_outside:
+            lower[2], upper[2] = 0.0, scene.air_layers()[0][-1]
+        near, far = clip_to_box(self.origins, self.directions, lower, upper, axes)
         with np.errstate(divide="ignore", invalid="ignore"):
             to_ground = self.origins[:, 2] / np.maximum(-self.directions[:, 2], 0.0)
         misses = np.where(np.isfinite(to_ground), to_ground, 0.0)

@@ -7,7 +7,7 @@ from cloudtomo_cl import reference
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.phase import HenyeyGreenstein
 from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
+from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, RayView
 from cloudtomo_cl.transport import RadianceOperator
 
 # Where a result is random, it may lie this many standard errors away: a probability of
@@ -140,3 +140,24 @@ def test_a_white_cloud_over_a_white_ground_returns_all_light(device, estimator):
     error = 2 * np.pi * np.sqrt(np.sum((weights * mu * rendering.standard_error) ** 2))
     assert error < 0.01
     assert abs(flux - 1) < SIGMAS * error
+
+
+@pytest.mark.parametrize(
+    "view",
+    [
+        OrthographicView(width=0.2, pixels=(2, 2), zenith=0),
+        OrthographicView(0.2, (2, 2), position=(0.5, 0.5, 700.0), target=(0.5, 0.5, 0)),
+        RayView([(0.5, 0.5, 700.0), (0.4, 0.6, 70.0)], [(0, 0, -1)] * 2),
+        PerspectiveView((0.5, 0.5, 60.0), (0.5, 0.5, 0.0), 0.2, (2, 2)),
+    ],
+    ids=["orthographic", "orthographic from a place", "rays", "camera"],
+)
+def test_views_from_space_see_the_ground_through_all_of_the_air(device, view):
+    """Air that only absorbs: the ground's radiance, A / pi, is lost down and up again."""
+    scene = Scene(
+        Grid(shape=(2, 2, 2), spacing=(0.5, 0.5, 0.5)), Sun(zenith=0), air=Air((0.02, 0.005), 0.0, levels=(0, 10, 50)),
+        surface=Surface(0.5),
+    )  # fmt: skip
+    mean = RadianceOperator(scene, [view], device).render(np.zeros((2, 2, 2)), 20000).mean.mean()
+    # A path gets through the 0.4 of air with probability exp(-0.4) = 0.67: 0.4 % of error.
+    assert mean == pytest.approx(0.5 / np.pi * np.exp(-2 * 0.4), rel=0.02)

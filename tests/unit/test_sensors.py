@@ -5,6 +5,7 @@ import pytest
 from pydantic import ValidationError
 
 from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.scene import Air, Boundary, Scene, Sun
 from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
 
 PERSPECTIVE = {"position": (0.0, 0.0, 2.0), "target": (0.5, 0.5, 0.0), "field_of_view": 30.0, "pixels": (4, 4)}
@@ -130,4 +131,30 @@ STARTS = {
 
 @pytest.mark.parametrize(("origin", "direction", "periodic", "start"), STARTS.values(), ids=STARTS)
 def test_rays_start_close_to_the_domain(origin, direction, periodic, start):
-    np.testing.assert_allclose(RayView([origin], [direction]).starts(STILTS, periodic), [start], atol=1e-12)
+    scene = Scene(STILTS, Sun(0.0), boundary=Boundary("periodic" if periodic else "open"))
+    np.testing.assert_allclose(RayView([origin], [direction]).starts(scene), [start], atol=1e-12)
+
+
+@pytest.mark.parametrize("boundary", ["open", "periodic"])
+@pytest.mark.parametrize(
+    ("origin", "direction", "start"),
+    [
+        ((0.5, 0.5, 700), (0, 0, -1), (0.5, 0.5, 40)),
+        ((0.5, 0.5, 9), (0, 0, -1), (0.5, 0.5, 9)),
+        ((0.5, 0.5, 0), (0, 0, 1), (0.5, 0.5, 0)),
+    ],
+    ids=["from space, at the atmosphere's top", "from within the air, where it is", "from the ground, where it is"],
+)
+def test_rays_skip_no_air(origin, direction, start, boundary):
+    scene = Scene(STILTS, Sun(0.0), air=Air(extinction=0.1, levels=(0, 40)), boundary=Boundary(boundary))
+    np.testing.assert_allclose(RayView([origin], [direction]).starts(scene), [start], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "direction", [{"zenith": 50.0, "azimuth": 20.0}, {"position": (900.0, 0.4, 800.0), "target": (0.5, 0.5, 1.0)}]
+)
+def test_an_orthographic_view_from_afar_starts_above_the_atmosphere(direction):
+    origin, _ = OrthographicView(0.7, (4, 4), **direction).rays(STILTS, top=40.0)
+    corners = [origin[0] + u * origin[1] + v * origin[2] for u in (0, 1) for v in (0, 1)]
+    assert np.min(corners, axis=0)[2] >= 40 - 1e-9
+    assert np.max(np.abs(corners)) < 120
