@@ -30,6 +30,8 @@ from cloudtomo_cl.stages import Stage
 
 FORMAT = 1
 _DIGEST = "sha256:"
+# Lists longer than this are kept as a digest.
+_LONG = 32
 # Time between checkpoints is at least this many times the time that writing one takes.
 _LEAST_WORK = 20.0
 
@@ -128,7 +130,7 @@ def identity_of(
     """All that decides the bits of a reconstruction, in the types of JSON: settings, and digests of arrays."""
 
     def settings(value: Any) -> Any:
-        return TypeAdapter(type(value)).dump_python(value, mode="json")
+        return _shortened(TypeAdapter(type(value)).dump_python(value, mode="json"))
 
     return {
         "seed": seed,
@@ -142,6 +144,17 @@ def identity_of(
         "mask": _digest(mask),
         "truth": None if truth is None else _digest(np.asarray(truth, np.float64)),
     }
+
+
+def _shortened(value: Any) -> Any:
+    """Settings with a digest in place of long lists: tables of phase functions, directions of rays."""
+    if isinstance(value, dict):
+        return {name: _shortened(inner) for name, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        if len(value) > _LONG:
+            return _DIGEST + hashlib.sha256(json.dumps(value).encode()).hexdigest()
+        return [_shortened(inner) for inner in value]
+    return value
 
 
 def _digest(array: np.ndarray) -> str:

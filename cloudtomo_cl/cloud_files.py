@@ -93,6 +93,16 @@ def read_cloud(path: str | os.PathLike[str], options: ReadingOptions | None = No
     path, options = Path(path), options or ReadingOptions()
     if not path.is_file():
         raise DataError(f"{path}: no such file")
+    try:
+        return _read_any(path, options)
+    except (DataError, MemoryError):
+        raise
+    except Exception as error:  # what a foreign or damaged file may lead to has no end
+        text = str(error) or type(error).__name__
+        raise DataError(f"{path}: is damaged, or no cloud that can be understood ({text})") from None
+
+
+def _read_any(path: Path, options: ReadingOptions) -> CloudVolume:
     with open(path, "rb") as file:
         start = file.read(8)
     if start.startswith((b"CDF", b"\x89HDF")) and path.suffix != ".mat":

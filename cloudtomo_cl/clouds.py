@@ -15,6 +15,7 @@ import numpy as np
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.memory import require_grid
 
 # Heights of base and top, and the margin at the sides, as shares of the domain.
 _BASE, _TOP, _MARGIN = 0.26, 0.82, 0.06
@@ -91,6 +92,7 @@ def cumulus(
     ------
     DataError : clouds, peak, base or top out of range; a grid too coarse to hold any cloud
     """
+    require_grid(grid.shape, "cumulus")
     if clouds < 1:
         raise DataError(f"clouds is {clouds}: there must be at least 1")
     if not (np.isfinite(peak) and peak > 0):

@@ -6,6 +6,7 @@ import os
 import shlex
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ from cloudtomo_cl.io import check_output
 from cloudtomo_cl.measurements import Measurements
 from cloudtomo_cl.provenance import describe_device, source, versions
 from cloudtomo_cl.scene import Scene
+from cloudtomo_cl.sensors import View
+from cloudtomo_cl.stages import automatic_stages
 from cloudtomo_cl.transport import RadianceOperator, Rendering
 
 # Photons per pixel of the images without cloud that carving compares with. Without air only the
@@ -76,6 +79,7 @@ def render(
     settings = read_render_settings(scene)
     grid, extinction = read_extinction(settings.cloud.file)
     described = settings.scene(grid)
+    _check_views(described, views(settings.view))
     chosen = choose_device(device)
     operator = RadianceOperator(described, views(settings.view), chosen)
     console = Console(quiet=quiet)
@@ -110,7 +114,7 @@ def reconstruct(
 ) -> None:
     """Reconstructs after a run file into a run folder."""
     from cloudtomo_cl.config import ReconstructSettings, read_reconstruct_settings, stored_scene, views
-    from cloudtomo_cl.inversion import IterationRecord, records
+    from cloudtomo_cl.inversion import IterationRecord, check_memory, records
     from cloudtomo_cl.inversion import reconstruct as recover
     from cloudtomo_cl.progress import ReconstructionProgress, duration
     from cloudtomo_cl.runfolder import RunFolder
@@ -132,7 +136,10 @@ def reconstruct(
             raise SettingsError(f"{run}: view: the views do not fit {settings.measurements.file}: {error}") from None
     scene = settings.scene(stored.get("scene", {}))
     truth = None if settings.truth is None else _read_truth(settings.truth.file, scene.grid)
+    _check_views(scene, measurements.views)
     chosen = choose_device(device)
+    stages = settings.stage or automatic_stages(scene.grid)
+    check_memory(scene, measurements, stages, chosen)
     given_seed, seed = seed, settings.run.seed if seed is None else seed
     console = Console(quiet=quiet)
     before: list[IterationRecord] = []
@@ -178,7 +185,7 @@ def reconstruct(
             result = recover(
                 scene,
                 measurements,
-                settings.stage,
+                stages,
                 settings.prior,
                 settings.optimizer,
                 mask=mask,
@@ -250,6 +257,22 @@ def _carve(scene: Scene, measurements: Measurements, device: Device) -> np.ndarr
     return carve(scene.grid, measurements, _measurements(operator, clear))
 
 
+def _check_views(scene: Scene, views: Sequence[View]) -> None:
+    """Raises DataError for a view that can see nothing: all of its pixels look past cloud, air and ground."""
+    from cloudtomo_cl.carving import pixels_that_meet
+
+    if scene.surface.albedo > 0 or scene.air is not None or scene.boundary.horizontal == "periodic":
+        return
+    for index, view in enumerate(views):
+        if not pixels_that_meet(view, scene.grid).any():
+            lower, upper = scene.grid.origin, np.add(scene.grid.origin, scene.grid.extent)
+            box = ", ".join(f"{axis} {a:g} to {b:g}" for axis, a, b in zip("xyz", lower, upper))
+            raise DataError(
+                f"view {index} looks past the domain ({box} km) with every pixel: check its position, target, zenith "
+                "and azimuth, and their units (km, degrees)"
+            )
+
+
 def _measurements(operator: RadianceOperator, rendering: Rendering) -> Measurements:
     """All pixels of a rendering as images."""
     images, errors = (tuple(operator.images(values)) for values in (rendering.mean, rendering.standard_error))
@@ -293,7 +316,12 @@ def report(folder: Path, quiet: bool) -> None:
         measurements = _if_there(folder / files["measurements"], lambda path: _read_measurements(path)[0])
     if "truth" in files:
         truth = _if_there(folder / files["truth"], lambda path: _read_truth(path, grid))
-    for path in save_figures(run.figures, grid, extinction, run.read_history(), truth, measurements):
+    history = run.read_history()
+    missing = {"stage", "seconds", "cost", "cost_standard_error", "epsilon"} - set(history)
+    if missing or not len(history["stage"]):
+        lacks = f"has no column {', '.join(sorted(missing))}" if missing else "has no iteration"
+        raise DataError(f"{run.history_file}: {lacks}: it is no history of a run")
+    for path in save_figures(run.figures, grid, extinction, history, truth, measurements):
         if not quiet:
             print(path)
 

@@ -162,6 +162,8 @@ class ReconstructSettings(BaseModel):
         ------
         SettingsError : neither knows the grid or the sun, or what is stored is no scene
         """
+        if not isinstance(stored, dict):
+            raise SettingsError(f"{self.measurements.file}: what it stores as scene in its settings is no table")
         tables: dict[str, Any] = dict(stored)
         for name in ("grid", "sun", "cloud", "air", "surface", "boundary"):
             given = getattr(self, name)

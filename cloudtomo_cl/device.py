@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import os
+import shutil
+import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -45,6 +50,45 @@ def _import_pyopencl() -> Any:
     return pyopencl
 
 
+# What OpenCL calls a lack of memory; INVALID_BUFFER_SIZE: larger than the device's largest piece.
+_OUT_OF_MEMORY = ("MEM_OBJECT_ALLOCATION_FAILURE", "OUT_OF_RESOURCES", "OUT_OF_HOST_MEMORY", "INVALID_BUFFER_SIZE")
+
+
+@contextmanager
+def device_errors(doing: str) -> Iterator[None]:
+    """Turns OpenCL's errors into DeviceError with advice; around a block, or as a decorator."""
+    try:
+        yield
+    except Exception as error:
+        cl = _import_pyopencl()
+        if not isinstance(error, cl.Error):
+            raise
+        text = str(error).splitlines()[0] if str(error) else type(error).__name__
+        if isinstance(error, cl.MemoryError) or any(code in text for code in _OUT_OF_MEMORY):
+            advice = "the device has not enough memory: choose fewer voxels, pixels or samples, or another device"
+        else:
+            advice = "the device or its driver failed: check it, or choose another device"
+        raise DeviceError(f"{doing} failed ({text}): {advice} (`cloudtomo devices` lists them)") from None
+
+
+@contextmanager
+def _include_folders() -> Iterator[list[str]]:
+    """Where compilers find the headers; copies where a space in the path would confuse them (PoCL's)."""
+    import pyopencl
+
+    ours = Path(str(resources.files("cloudtomo_cl.kernels")))
+    # pyopencl adds its own folder to the options, but of a path with a space PoCL makes nothing.
+    theirs = Path(pyopencl.__file__).parent / "cl"
+    folders = [folder for folder in (ours, theirs) if " " in str(folder)]
+    if not folders or " " in tempfile.gettempdir():
+        yield [str(ours)]
+        return
+    with tempfile.TemporaryDirectory(prefix="cloudtomo-") as copy:
+        for folder in {ours, *folders}:
+            shutil.copytree(folder, copy, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
+        yield [copy]
+
+
 def _opencl_devices() -> list[Any]:
     """All devices, GPUs first, in the order the platforms give them."""
     cl = _import_pyopencl()
@@ -54,7 +98,13 @@ def _opencl_devices() -> list[Any]:
         raise DeviceError(
             f"no OpenCL platform ({error}): install one, for instance pip install 'pyopencl[pocl]'"
         ) from None
-    devices = [device for platform in platforms for device in platform.get_devices()]
+    devices = []
+    for platform in platforms:
+        try:
+            devices += platform.get_devices()
+        except cl.Error:
+            # A platform whose driver is broken, or that has no device, must not hide the others.
+            continue
     if not devices:
         raise DeviceError("no OpenCL device: install a driver, for instance pip install 'pyopencl[pocl]'")
     order = {cl.device_type.GPU: 0, cl.device_type.ACCELERATOR: 1}
@@ -71,6 +121,7 @@ def _kind(device: Any) -> str:
     return " | ".join(kind for kind in kinds if device.type & getattr(cl.device_type, kind))
 
 
+@device_errors("listing the devices")
 def list_devices() -> list[DeviceInfo]:
     """Every OpenCL device of this machine; the index is what `choose_device` takes.
 
@@ -96,6 +147,7 @@ def list_devices() -> list[DeviceInfo]:
 class Device:
     """An OpenCL device with its context, queue and built kernels."""
 
+    @device_errors("opening the device")
     def __init__(self, opencl_device: Any) -> None:
         cl = _import_pyopencl()
         self.opencl = opencl_device
@@ -108,6 +160,11 @@ class Device:
 
     def __repr__(self) -> str:
         return f"Device({self.name!r})"
+
+    @property
+    def shares_memory(self) -> bool:
+        """Whether its memory is the machine's own."""
+        return bool(self.opencl.host_unified_memory)
 
     @cached_property
     def _preamble(self) -> str:
@@ -125,17 +182,21 @@ class Device:
         """
         if source not in self._programs:
             cl = _import_pyopencl()
-            options = ["-cl-std=CL1.2", "-I", str(resources.files("cloudtomo_cl.kernels"))]
-            if self.accumulation == _WIDE_ATOMICS:
-                options += ["-D", "CLOUDTOMO_WIDE_ATOMICS"]
-            try:
-                self._programs[source] = cl.Program(self.context, f"{self._preamble}\n{source}").build(options)
-            except cl.Error as error:
-                space = " " in options[2]
-                hint = "\na space in the folder's name may be the cause: install elsewhere" if space else ""
-                raise BuildError(
-                    f"device {self.name}: a kernel did not build\noptions: {' '.join(options)}\n{error}{hint}"
-                ) from None
+            with _include_folders() as folders:
+                options = ["-cl-std=CL1.2"]
+                for folder in folders:
+                    options += ["-I", folder]
+                if self.accumulation == _WIDE_ATOMICS:
+                    options += ["-D", "CLOUDTOMO_WIDE_ATOMICS"]
+                try:
+                    self._programs[source] = cl.Program(self.context, f"{self._preamble}\n{source}").build(options)
+                except cl.Error as error:
+                    space = any(" " in option for option in options)
+                    hint = "\na space in the folder's name may be the cause: install elsewhere" if space else ""
+                    raise BuildError(
+                        f"device {self.name}: a kernel did not build; choose another device (`cloudtomo devices` lists "
+                        f"them) or report this text\noptions: {' '.join(options)}\n{error}{hint}"
+                    ) from None
         return self._programs[source]
 
     def kernel(self, file: str, name: str, features: tuple[str, ...] = ()) -> Any:
@@ -147,7 +208,9 @@ class Device:
         if (file, name, features) not in self._kernels:
             cl = _import_pyopencl()
             source = "".join(f"#define {feature}\n" for feature in features) + f'#include "{file}.cl"\n'
-            self._kernels[file, name, features] = cl.Kernel(self.build(source), name)
+            program = self.build(source)
+            with device_errors(f"making the kernel {name}"):
+                self._kernels[file, name, features] = cl.Kernel(program, name)
         return self._kernels[file, name, features]
 
     def constant(self, values: np.ndarray) -> Any:
@@ -157,12 +220,9 @@ class Device:
 
     def launch(self, kernel: Any, work_items: int, *arguments: Any) -> None:
         """Runs a kernel on at least `work_items` work items (kernels skip the rest)."""
-        cl = _import_pyopencl()
         groups = -(-work_items // WORK_GROUP_SIZE)
-        try:
+        with device_errors(f"device {self.name}: launching {kernel.function_name}"):
             kernel(self.queue, (groups * WORK_GROUP_SIZE,), (WORK_GROUP_SIZE,), *arguments)
-        except cl.Error as error:
-            raise DeviceError(f"device {self.name}: {kernel.function_name} did not start ({error})") from None
 
 
 class Pace:

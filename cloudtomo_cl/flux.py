@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.audit import Account, Audit
-from cloudtomo_cl.device import Device, Pace, choose_device
+from cloudtomo_cl.device import Device, Pace, choose_device, device_errors
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.layout import FLUXES, WEIGHT_UNIT, sun_view_struct
 from cloudtomo_cl.medium import Medium
@@ -91,6 +91,7 @@ class FluxOperator:
         the domain would need an endless plane of photons
     """
 
+    @device_errors("preparing the fluxes")
     def __init__(
         self, scene: Scene, device: Device | None = None, *, effective_radius: np.ndarray | None = None
     ) -> None:
@@ -109,6 +110,7 @@ class FluxOperator:
         self._trace_photons = self.device.kernel("flux", "trace_photons", self._medium.features)
         self._pace = Pace(self.device)
 
+    @device_errors("the fluxes")
     def compute(
         self,
         extinction: Any,

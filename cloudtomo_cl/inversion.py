@@ -12,10 +12,11 @@ import numpy as np
 
 from cloudtomo_cl.carving import coarsened, pixels_that_see
 from cloudtomo_cl.checkpoint import Checkpoint, Checkpoints, identity_of, read_checkpoint, rows
-from cloudtomo_cl.device import Device, choose_device
+from cloudtomo_cl.device import Device, choose_device, device_errors
 from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.grid import Grid, resample_in_mask
 from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.memory import require_reconstruction
 from cloudtomo_cl.metrics import delta, epsilon
 from cloudtomo_cl.objective import LaggedResidual, relative_weights
 from cloudtomo_cl.optimizer import Descent, Optimizer
@@ -125,6 +126,7 @@ def reconstruct(
             raise DataError(f"{name} has shape {array.shape}, the grid {scene.grid.shape}")
     if not mask.any():
         raise DataError("the mask is empty: no voxel may hold cloud; are images, views and surface right?")
+    check_memory(scene, measurements, stages, device)
     identity = identity_of(scene, measurements, stages, prior, optimizer, mask, truth, seed)
     run = _Run(scene, stages, mask, truth, seed, time_limit, callback, stop, identity, device.name)
     run.checkpoints = Checkpoints(checkpoint, checkpoint_interval)
@@ -137,6 +139,14 @@ def reconstruct(
         if run.is_over:
             break
     return Reconstruction(scene.grid, run.on_finest_grid(extinction), mask, run.history, run.stage_ends)
+
+
+def check_memory(scene: Scene, measurements: Measurements, stages: Sequence[Stage], device: Device) -> None:
+    """DataError or DeviceError if a stage would not fit into the memory of machine and device."""
+    pixels = sum(image.size for image in measurements.images)
+    # Stages that do not say have as many paths in an iteration, whatever their pixels.
+    samples = max(stage.samples or -(-_PATHS_PER_ITERATION // pixels) for stage in stages)
+    require_reconstruction(device, scene.grid.shape, [stage.grid for stage in stages], pixels, samples)
 
 
 def records(checkpoint: Checkpoint) -> list[IterationRecord]:
@@ -203,6 +213,7 @@ class _Run:
     def on_finest_grid(self, extinction: np.ndarray) -> np.ndarray:
         return resample_in_mask(extinction, self.mask).astype(np.float32)
 
+    @device_errors("the reconstruction")
     def descend(
         self,
         index: int,

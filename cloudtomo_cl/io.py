@@ -15,8 +15,10 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.files import written_whole
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.memory import require
 from cloudtomo_cl.sensors import RayView, View
 
 if TYPE_CHECKING:
@@ -74,10 +76,14 @@ def load_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
     try:
         # Times and other CF encodings that a foreign file may have are none of our business.
         with xr.open_dataset(path, engine="netcdf4", decode_times=False) as dataset:
+            # Compressed, a small file may hold gigabytes.
+            require(2 * dataset.nbytes, f"{path}: reading it", "crop or coarsen it")
             loaded = dataset.load()
         _check_classic(path)
         return loaded
-    except (OSError, RuntimeError, ValueError, KeyError, AttributeError) as error:
+    except (DataError, MemoryError):
+        raise
+    except Exception as error:  # what a damaged file may raise has no end
         text = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise DataError(
             f"{path}: not a netCDF file, or damaged or cut short ({text}): check or copy it again; "
@@ -113,8 +119,6 @@ def check_output(path: Path, overwrite: bool) -> None:
 
 def _save(path: str | os.PathLike[str], dataset: xr.Dataset) -> None:
     """Writes all or nothing: a file of that name is either whole or as it was before."""
-    path = Path(path)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     encoding = {
         name: {"zlib": True, "complevel": 4}
         for name, variable in dataset.data_vars.items()
@@ -124,17 +128,11 @@ def _save(path: str | os.PathLike[str], dataset: xr.Dataset) -> None:
         encoding.setdefault(name, {})
         if name not in ("radiance", "radiance_standard_error", "effective_radius"):
             encoding[name]["_FillValue"] = None
-    try:
-        if not path.parent.is_dir():
-            raise DataError(f"{path}: the folder {path.parent} does not exist: make it first")
-        dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
-        with open(partial, "rb") as written:
-            os.fsync(written.fileno())
-        os.replace(partial, path)
-    except (OSError, RuntimeError) as error:
-        raise DataError(f"{path}: could not be written ({error}): check its folder, permissions and disk") from None
-    finally:
-        partial.unlink(missing_ok=True)
+    with written_whole(path) as partial:
+        try:
+            dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
+        except RuntimeError as error:  # how the netCDF library says that a disk is full
+            raise OSError(str(error)) from None
 
 
 def _variable(path: Any, dataset: xr.Dataset, name: str, dims: tuple[str, ...]) -> xr.DataArray:
@@ -385,8 +383,17 @@ def read_measurements(path: str | os.PathLike[str]) -> Measurements:
         ("image_height", heights, radiance.shape[1]),
         ("image_width", widths, radiance.shape[2]),
     ):
-        if not ((values >= 1) & (values <= largest)).all():
-            raise DataError(f"{path}: {name} is {list(values)}: each must lie between 1 and {largest}")
+        if not ((values >= 1) & (values <= largest) & (values % 1 == 0)).all():
+            raise DataError(f"{path}: {name} is {values.tolist()}: each must be a whole number from 1 to {largest}")
+    for index, (height, width) in enumerate(zip(heights, widths)):
+        beyond = ~np.isnan(radiance.values[index])
+        beyond[: int(height), : int(width)] = False
+        if beyond.any():
+            row, column = np.argwhere(beyond)[0]
+            raise DataError(
+                f"{path}: view {index} has {int(width)} x {int(height)} pixels by image_width and image_height, "
+                f"but a radiance at row {row}, column {column}: correct them, or set what lies beyond to NaN"
+            )
     views = _views(path, dataset, heights, widths)
     shapes = [(slice(0, int(height)), slice(0, int(width))) for height, width in zip(heights, widths)]
     try:
@@ -411,7 +418,7 @@ def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise DataError(f"{path}: no attribute settings: the file was written without them")
     try:
         settings = json.loads(text)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, RecursionError):
         settings = None
     if not isinstance(settings, dict):
         raise DataError(f"{path}: the attribute settings is not a JSON table")

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from cloudtomo_cl.device import Device
+from cloudtomo_cl.device import Device, device_errors
 from cloudtomo_cl.grid import Count
 from cloudtomo_cl.scene import NotNegative, Positive
 
@@ -60,6 +60,7 @@ class Descent:
     extinction : on the device, float32, km^-1; changed by every step
     """
 
+    @device_errors("preparing the descent")
     def __init__(self, optimizer: Optimizer, extinction: np.ndarray, mask: np.ndarray, device: Device) -> None:
         import pyopencl.array as cl_array
 
@@ -73,16 +74,19 @@ class Descent:
         self._moments = [cl_array.zeros_like(self.extinction) for _ in range(2 if optimizer.type == "adam" else 0)]
         self._kernel = device.kernel("optimizer", f"{optimizer.type}_step")
 
+    @device_errors("reading the extinction")
     def estimate(self) -> np.ndarray:
         """The running mean of the extinction, km^-1."""
         return self._mean.get()
 
+    @device_errors("reading the extinction")
     def state(self) -> dict[str, np.ndarray]:
         """All that a step changes, as arrays on the host."""
         moments = {f"moment{order}": moment.get() for order, moment in enumerate(self._moments)}
         own = {"extinction": self.extinction.get(), "mean": self._mean.get(), "steps": np.array(self.steps)}
         return own | moments
 
+    @device_errors("restoring the extinction")
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Goes on from what `state` gave."""
         self.extinction.set(state["extinction"])
@@ -91,6 +95,7 @@ class Descent:
             moment.set(state[f"moment{order}"])
         self.steps = int(state["steps"])
 
+    @device_errors("the descent's step")
     def step(self, gradient: Any) -> None:
         """One step against a gradient on the device, cost per km^-1."""
         optimizer = self.optimizer

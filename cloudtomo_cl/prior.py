@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from cloudtomo_cl.device import Device
+from cloudtomo_cl.device import Device, device_errors
 from cloudtomo_cl.scene import NotNegative, Positive
 
 
@@ -39,6 +39,7 @@ class Prior:
 class PriorOperator:
     """Value and gradient of a prior on a device, for one shape of grid."""
 
+    @device_errors("the prior")
     def __init__(self, prior: Prior, shape: tuple[int, int, int], device: Device) -> None:
         import pyopencl.array as cl_array
         from pyopencl import cltypes
@@ -59,6 +60,7 @@ class PriorOperator:
     def _launch(self, name: str, *arguments: Any) -> None:
         self.device.launch(self._kernels[name], int(np.prod(self.shape)), *arguments)
 
+    @device_errors("the prior")
     def value_and_gradient(self, extinction: Any, weight: float = 1.0) -> tuple[float, Any]:
         """weight R, and its gradient (km) on the device, for an extinction on the device."""
         prior, shape = self.prior, self._shape

@@ -9,10 +9,11 @@ from typing import Any, Literal
 import numpy as np
 
 from cloudtomo_cl.audit import Account, Audit
-from cloudtomo_cl.device import Device, Pace, choose_device
+from cloudtomo_cl.device import Device, Pace, choose_device, device_errors
 from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.layout import STRUCTS, ray_array, view_structs
 from cloudtomo_cl.medium import Medium
+from cloudtomo_cl.memory import require_rendering
 from cloudtomo_cl.scene import Scene
 from cloudtomo_cl.sensors import View
 
@@ -77,6 +78,7 @@ class RadianceOperator:
     DataError : no view, or an effective radius that does not fit
     """
 
+    @device_errors("preparing a rendering")
     def __init__(
         self,
         scene: Scene,
@@ -101,6 +103,8 @@ class RadianceOperator:
         self.estimator: Estimator = estimator or (
             "side-flights" if scene.cloud.phase_function.g >= 0.5 else "plain"
         )
+        if pixels is None:
+            require_rendering(self.device, scene.grid.shape, self.views)
         self.pixels = all_pixels(self.views) if pixels is None else np.ascontiguousarray(pixels, np.uint32)
         self._cl = cl
         self._array = pyopencl.array
@@ -117,6 +121,7 @@ class RadianceOperator:
         self._replay_paths = self.device.kernel("gradient", "replay_paths", self._medium.features)
         self._pace = Pace(self.device)
 
+    @device_errors("rendering")
     def render(
         self,
         extinction: Any,
@@ -237,6 +242,7 @@ class RadianceOperator:
         audit.check(samples * len(self.pixels))
         return Rendering(mean, standard_error, halves, samples, seed, iteration, audit, beta, launches)
 
+    @device_errors("the gradient")
     def gradient(self, rendering: Rendering, adjoint: np.ndarray) -> Any:
         """The gradient of a cost with respect to extinction, by replay of a rendering's paths.
 

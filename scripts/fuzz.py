@@ -1,0 +1,478 @@
+"""Feeds malformed settings and files to the command line, and checks how it answers.
+
+    python scripts/fuzz.py [--cases 2500] [--seed 0] [--seconds 20]
+
+Every case starts from a tiny scene that works and spoils one of its files: settings (types,
+keys, numbers, text), clouds, images, checkpoints, run folders (bytes, variables, dimensions,
+types, units, values). The answer must be exit status 0 with a result that can be read, or 2
+with a message and no file that was not there before; never a traceback, never a hang.
+
+Cases run in a process of their own, so that a crash or a hang is counted and the next case
+begins afresh. A case is a function of the seed and its number: --first N --cases 1 repeats one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import contextlib
+import io
+import json
+import os
+import random
+import select
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+NUMBERS: list[Any] = [
+    0, -1, 1, 2, 3, 0.5, -0.5, 1e-300, 1e-30, 1e30, 1e308, -1e308, 10**12, 2**31, 2**32, 2**63, 10**30, 89.999999,
+    90, 180, 360, 1e-6, float("nan"), float("inf"), float("-inf"),
+]  # fmt: skip
+OTHERS: list[Any] = [
+    True, False, "", "60", "x", "\u2603", "a\nb", "\x00", "../../etc/passwd", ".", "/", "n" * 5000, [], [1], [[]],
+    [[1]], {}, {"a": 1}, {"type": "perspective"}, {"type": ["a"]}, [1, "a"], ["a"] * 3, [1.0] * 3, [1.0] * 20_000,
+    [{"a": {}}], [[[[[[[1]]]]]]], [0, 0, 0], [10**30] * 3, [-1, 1, 1], [10**12] * 2, [10**7] * 3, [4, 4],
+]  # fmt: skip
+SCENE: dict[str, Any] = {
+    "cloud": {
+        "file": "cloud.nc",
+        "single_scattering_albedo": 0.99,
+        "phase_function": {"type": "henyey-greenstein", "g": 0.5},
+    },
+    "surface": {"albedo": 0.1},
+    "air": {"extinction": 0.01},
+    "boundary": {"horizontal": "open"},
+    "sun": {"zenith": 30.0, "azimuth": 10.0, "irradiance": 1.0},
+    "view": [
+        {
+            "type": "perspective",
+            "position": [1.0, 0.2, 1.5],
+            "target": [0.2, 0.2, 0.2],
+            "up": [0, 0, 1],
+            "field_of_view": 40.0,
+            "pixels": [4, 3],
+        },
+        {"type": "orthographic", "zenith": 20.0, "azimuth": 40.0, "width": 0.6, "pixels": [4, 4]},
+    ],
+}
+RUN: dict[str, Any] = {
+    "measurements": {"file": "images.nc"},
+    "truth": {"file": "cloud.nc"},
+    "grid": {"shape": [4, 4, 4], "spacing": [0.1, 0.1, 0.1], "origin": [0.0, 0.0, 0.0]},
+    "run": {"seed": 1, "time_limit": 0.05, "checkpoint_interval": 1.0},
+    "stage": [{"grid": [2, 2, 2], "pixels": 0.5, "samples": 4, "iterations": 1, "window": 2, "prior_weight": 1.0}],
+    "prior": {"smoothness": 1e-4, "monotonicity": 0.1, "c1": 0.2, "c2": 0.05, "threshold": 0.01},
+    "optimizer": {"type": "adam", "step": 0.1, "variable": "square-root", "floor": 0.01, "start": 2.0, "averaging": 3},
+}
+RENDER = ["render", "scene.toml", "--samples", "4", "--output", "new.nc"]
+RECONSTRUCT = ["reconstruct", "run.toml", "--output", "new"]
+
+
+# ---- settings
+
+
+def toml(tables: Any) -> str:
+    """A table as TOML, all values in line."""
+    return "".join(f"{key(name)} = {value(entry)}\n" for name, entry in tables.items())
+
+
+def key(name: str) -> str:
+    return json.dumps(str(name))
+
+
+def value(entry: Any) -> str:
+    if isinstance(entry, bool):
+        return str(entry).lower()
+    if isinstance(entry, (int, float)):
+        return repr(entry)
+    if isinstance(entry, str):
+        return json.dumps(entry)
+    if isinstance(entry, dict):
+        return "{" + ", ".join(f"{key(name)} = {value(inner)}" for name, inner in entry.items()) + "}"
+    return "[" + ", ".join(map(value, entry)) + "]"
+
+
+def places(node: Any, found: list[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
+    """Every (container, key) of a nest of tables and lists."""
+    for name in list(node) if isinstance(node, dict) else range(len(node)):
+        found.append((node, name))
+        if isinstance(node[name], (dict, list)):
+            places(node[name], found)
+    return found
+
+
+def spoilt_settings(tables: dict[str, Any], rng: random.Random) -> bytes:
+    tables = json.loads(json.dumps(tables))
+    for _ in range(rng.choice([1, 1, 1, 2, 5])):
+        container, name = rng.choice(places(tables, []))
+        what = rng.randrange(6)
+        if what == 0:
+            del container[name]
+        elif what == 1 and isinstance(container, dict):
+            container[rng.choice([str(name) + "s", str(name).upper(), "", "\u00e9", "a.b", str(name)[:-1]])] = (
+                container.pop(name)
+            )
+        elif what == 2:
+            container[name] = rng.choice(OTHERS)
+        elif what == 3 and isinstance(container[name], list):
+            container[name] = container[name] * rng.choice([2, 3, 1000])
+        elif what == 4 and isinstance(container, dict):
+            container[rng.choice(["extra", "file", "type", "zenith", "g", "position"])] = rng.choice(OTHERS + NUMBERS)
+        else:
+            container[name] = rng.choice(NUMBERS)
+        if not tables:
+            break
+    text = toml(tables)
+    return spoilt_text(text.encode(), rng) if rng.random() < 0.25 else text.encode()
+
+
+def spoilt_text(text: bytes, rng: random.Random) -> bytes:
+    """Characters and lines cut, doubled, moved, exchanged."""
+    content = bytearray(text)
+    for _ in range(rng.choice([1, 1, 3, 10])):
+        place = rng.randrange(len(content) + 1)
+        what = rng.randrange(5)
+        if what == 0:
+            del content[place : place + rng.choice([1, 1, 5, 50])]
+        elif what == 1:
+            bits = [b"[", b"]", b'"', b"=", b"\x00", b"\xff", "\u2603".encode(), b"\n", b"-"]
+            content[place:place] = rng.choice(bits)
+        elif what == 2:
+            content[place:place] = content[place : place + 30]
+        elif what == 3:
+            content = content[:place]
+        else:
+            lines = content.split(b"\n")
+            rng.shuffle(lines)
+            content = bytearray(b"\n".join(lines))
+    return bytes(content)
+
+
+# ---- files
+
+
+def spoilt_bytes(content: bytes, rng: random.Random) -> bytes:
+    damaged = bytearray(content)
+    what = rng.randrange(5)
+    if what == 0:
+        return bytes(damaged[: rng.randrange(len(damaged) + 1)])
+    if what == 1:
+        start = rng.randrange(len(damaged))
+        damaged[start : start + rng.choice([4, 64, 1024])] = b""
+    elif what == 2:
+        start = rng.randrange(len(damaged))
+        length = min(rng.choice([4, 64, 1024]), len(damaged) - start)
+        damaged[start : start + length] = rng.choice([b"\x00", b"\xff"]) * length
+    else:
+        for _ in range(rng.choice([1, 5, 50])):
+            damaged[rng.randrange(len(damaged))] ^= 1 << rng.randrange(8)
+    return bytes(damaged)
+
+
+def spoil_netcdf(path: Path, rng: random.Random) -> None:
+    """One or two things wrong in a netCDF file that is otherwise sound."""
+    import numpy as np
+    import xarray as xr
+
+    with xr.open_dataset(path, decode_times=False) as opened:
+        data = opened.load()
+    for _ in range(rng.choice([1, 1, 2])):
+        name = rng.choice(sorted(map(str, data.variables)))
+        variable = data[name]
+        what = rng.randrange(10)
+        if what == 0:
+            data = data.drop_vars(name)
+        elif what == 1:
+            data = data.rename({name: rng.choice([f"{name}2", name.upper(), "\u00e9", "radiance_", "beta"])})
+        elif what == 2:
+            data[name].attrs["units"] = rng.choice(["m", "degrees_east", "", 5, [1, 2], "g m-3", "\u00b5m", "KM"])
+        elif what == 3 and variable.dims:
+            dims = list(map(str, variable.dims))
+            axis = rng.choice(dims)
+            data = data.isel({axis: slice(0, rng.choice([0, 1, 2]))})
+        elif what == 4 and variable.size and variable.dtype.kind == "f":
+            values = variable.values.copy()
+            values.flat[rng.randrange(values.size)] = rng.choice([np.nan, np.inf, -np.inf, -1, 1e30, 1e38, 1e-38, 0])
+            data[name] = (variable.dims, values, variable.attrs)
+        elif what == 5 and variable.size and variable.dtype.kind in "fiu":
+            factor = rng.choice([0, -1, 1e3, 1e30, 1e-30, np.nan])
+            data[name] = (variable.dims, variable.values * factor, variable.attrs)
+        elif what == 6:
+            kind = rng.choice(["U", "i8", "i2", "?", "f4"])
+            with np.errstate(all="ignore"):
+                values = variable.values.astype(kind)
+            data[name] = (variable.dims, values.astype(object) if kind == "U" else values, variable.attrs)
+        elif what == 7:
+            data.attrs["settings"] = rng.choice(
+                [5, [1, 2], "", "{", "[]", "5", '{"scene": 5}', '{"scene": []}', '{"scene": {"sun": 5}}', "[" * 5000,
+                 '{"scene": {"grid": {"shape": [1e9, 1, 1]}}}', '{"scene": {"sun": {"zenith": NaN}}}']
+            )  # fmt: skip
+        elif what == 8 and variable.dims:
+            dims = variable.dims
+            values = variable.values[..., ::-1] if variable.ndim else variable.values
+            data[name] = (dims, values, variable.attrs)
+        elif what == 9 and variable.ndim > 1:
+            data[name] = variable.expand_dims(time=2) if rng.random() < 0.5 else variable.isel({variable.dims[0]: 0})
+    path.unlink()
+    with contextlib.suppress(Exception):
+        data.to_netcdf(path, format=rng.choice(["NETCDF4", "NETCDF4", "NETCDF3_64BIT"]))
+    if not path.exists():
+        path.write_bytes(b"")
+
+
+# ---- cases
+
+
+def scene_case(folder: Path, rng: random.Random) -> list[str]:
+    (folder / "scene.toml").write_bytes(spoilt_settings(SCENE, rng))
+    return RENDER
+
+
+def run_case(folder: Path, rng: random.Random) -> list[str]:
+    (folder / "run.toml").write_bytes(spoilt_settings(RUN, rng))
+    return RECONSTRUCT
+
+
+def cloud_case(folder: Path, rng: random.Random) -> list[str]:
+    spoil(folder / "cloud.nc", rng)
+    return rng.choice([RENDER, ["cloud", "cloud.nc"], ["cloud", "cloud.nc", "--output", "new.nc"]])
+
+
+def images_case(folder: Path, rng: random.Random) -> list[str]:
+    spoil(folder / "images.nc", rng)
+    text = rng.choice([toml(RUN), '[measurements]\nfile = "images.nc"\n[run]\ntime_limit = 0.05\n'])
+    (folder / "run.toml").write_text(text)
+    return RECONSTRUCT
+
+
+def spoil(path: Path, rng: random.Random) -> None:
+    if rng.random() < 0.6:
+        spoil_netcdf(path, rng)
+    else:
+        path.write_bytes(spoilt_bytes(path.read_bytes(), rng))
+
+
+def checkpoint_case(folder: Path, rng: random.Random) -> list[str]:
+    path = folder / "old" / "checkpoint.npz"
+    path.write_bytes(spoilt_bytes(path.read_bytes(), rng))
+    return ["reconstruct", "run.toml", "--output", "old", "--resume"]
+
+
+def report_case(folder: Path, rng: random.Random) -> list[str]:
+    name = rng.choice(["settings.json", "history.csv", "reconstruction.nc"])
+    path = folder / "old" / name
+    if name == "reconstruction.nc":
+        spoil(path, rng)
+    elif name == "settings.json" and rng.random() < 0.5:
+        files = [5, [], {"truth": 5}, {"truth": ""}, {"truth": "."}, {"measurements": "\x00"}, {"truth": "x" * 5000}]
+        path.write_text(json.dumps(rng.choice([[], 5, None, "text", {"files": rng.choice(files)}])))
+    else:
+        path.write_bytes(spoilt_text(path.read_bytes(), rng))
+    return ["report", "old"]
+
+
+def arguments_case(folder: Path, rng: random.Random) -> list[str]:
+    words = list(rng.choice([RENDER, RECONSTRUCT, ["cloud", "cloud.nc", "--output", "new.nc"], ["report", "old"]]))
+    words += rng.choice([[], ["--crop", "x=0:1"], ["--device", "9"], ["--seed", "1"], ["--resume"], ["--overwrite"]])
+    words += rng.choice([[], ["--coarsen", "2", "2", "2"], ["--png", "new.png"], ["--spacing", "nan", "1", "1"]])
+    for _ in range(rng.choice([0, 1, 2])):
+        place = rng.randrange(1, len(words))
+        words[place] = rng.choice(
+            ["", "-1", "nan", "1e30", "0", "3", "\u2603", "old", ".", "/dev/null", "cloud.nc", "--", "x=:", str(2**70)]
+        )
+    return words
+
+
+CASES: list[tuple[Callable[[Path, random.Random], list[str]], int]] = [
+    (scene_case, 8), (run_case, 8), (cloud_case, 5), (images_case, 5), (checkpoint_case, 2), (report_case, 2),
+    (arguments_case, 2),
+]  # fmt: skip
+
+
+class Bench:
+    """Runs cases, each in a fresh copy of the same small inputs."""
+
+    def __init__(self, folder: Path) -> None:
+        from cloudtomo_cl import cli, commands
+        from cloudtomo_cl.device import choose_device
+
+        self.folder = folder
+        self.main = cli.main
+        device, choose = choose_device(), commands.choose_device
+        # Opened and built once: the cases are about what users give.
+        commands.choose_device = lambda name=None: device if name is None else choose(name)
+        self.template = folder / "template"
+        if not self.template.exists():
+            self.prepare()
+        # Figures take seconds; the cases of reports are those that draw them.
+        self.figures = commands.report
+        self.commands = commands
+
+    def prepare(self) -> None:
+        import numpy as np
+
+        from cloudtomo_cl.grid import Grid
+        from cloudtomo_cl.io import write_extinction
+
+        self.template.mkdir()
+        extinction = np.zeros((4, 4, 4), np.float32)
+        extinction[1:3, 1:3, 1:3] = 10.0
+        write_extinction(self.template / "cloud.nc", Grid((4, 4, 4), (0.1, 0.1, 0.1)), extinction)
+        (self.template / "scene.toml").write_text(toml(SCENE))
+        (self.template / "run.toml").write_text(toml(RUN))
+        images = ["--samples", "16", "--quiet", "--output", "images.nc"]
+        for command in (["render", "scene.toml", *images], ["reconstruct", "run.toml", "--quiet", "--output", "old"]):
+            with _inside(self.template):
+                if self.main(command) != 0:
+                    raise SystemExit("the inputs that the cases start from do not work")
+
+    def run(self, seed: int, number: int) -> dict[str, Any]:
+        """One case: its command, exit status, and what is wrong with the answer, if anything."""
+        rng = random.Random(f"{seed} {number}")
+        kind = rng.choices([case for case, _ in CASES], [weight for _, weight in CASES])[0]
+        folder = self.folder / "case"
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(self.template, folder)
+        with _inside(folder):
+            command = kind(folder, rng)
+            before = _listing(folder)
+            self.commands.report = self.figures if kind is report_case else lambda *_, **__: None
+            output, errors = io.StringIO(), io.StringIO()
+            start, wrong = time.monotonic(), ""
+            with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
+                try:
+                    status = self.main(command)
+                except SystemExit as left:
+                    status = left.code
+                except BaseException:  # noqa: B036
+                    status, wrong = -1, traceback.format_exc()
+            seconds = time.monotonic() - start
+            message = errors.getvalue()
+            wrong = wrong or self.judge(status, message, before, _listing(folder), command)
+        return {
+            "number": number, "kind": kind.__name__, "command": " ".join(command)[:200], "status": status,
+            "seconds": seconds, "wrong": wrong, "message": message[-2000:],
+        }  # fmt: skip
+
+    def judge(
+        self, status: Any, message: str, before: dict[str, bytes], after: dict[str, bytes], command: list[str]
+    ) -> str:
+        """What is wrong with an answer; nothing if it is in order."""
+        if status not in (0, 2):
+            return f"exit status {status}"
+        if "Traceback" in message:
+            return "a traceback in the message"
+        if status == 2 and not message.strip():
+            return "no message"
+        if any(name.endswith(".partial") for name in after):
+            return "a partial file is left"
+        if status == 2 and after != before:
+            changed = sorted(name for name in {*before, *after} if before.get(name) != after.get(name))
+            return f"failed, but changed {changed}"
+        if status == 0 and "new.nc" in after and command[0] == "cloud":
+            from cloudtomo_cl.io import read_extinction
+
+            read_extinction("new.nc")
+        return ""
+
+
+def _listing(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@contextlib.contextmanager
+def _inside(folder: Path) -> Any:
+    before = os.getcwd()
+    os.chdir(folder)
+    try:
+        yield
+    finally:
+        os.chdir(before)
+
+
+# ---- many cases
+
+
+def worker(seed: int, first: int, last: int, folder: Path) -> None:
+    """A line of JSON for each case."""
+    answers = os.fdopen(os.dup(1), "w")
+    bench = Bench(folder)
+    for number in range(first, last):
+        print(json.dumps({"begun": number}), file=answers, flush=True)
+        print(json.dumps(bench.run(seed, number)), file=answers, flush=True)
+
+
+def supervise(seed: int, first: int, cases: int, limit: float, folder: Path) -> list[dict[str, Any]]:
+    """Runs workers until all cases are done; a worker that crashes or hangs is replaced."""
+    results: list[dict[str, Any]] = []
+    number, last = first, first + cases
+    while number < last:
+        arguments = ["--worker", "--seed", str(seed), "--first", str(number), "--cases", str(last - number)]
+        process = subprocess.Popen(
+            [sys.executable, __file__, *arguments, "--folder", str(folder)], stdout=subprocess.PIPE, text=True,
+            stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        assert process.stdout is not None
+        begun = False
+        while True:
+            # The first case waits for the imports and the device.
+            ready, _, _ = select.select([process.stdout], [], [], limit if begun else 300)
+            line = process.stdout.readline() if ready else None
+            if not line:
+                process.kill()
+                status = process.wait()
+                wrong = "hangs" if line is None else f"the process died with {status}"
+                if number < last:
+                    results.append({"number": number, "kind": "?", "status": None, "seconds": limit, "wrong": wrong})
+                    number += 1
+                break
+            answer = json.loads(line)
+            begun = True
+            if "begun" not in answer:
+                results.append(answer)
+                number += 1
+                if answer["wrong"]:
+                    print(json.dumps(answer, indent=1), flush=True)
+                if len(results) % 250 == 0:
+                    print(f"{len(results)} cases", flush=True)
+                if number == last:
+                    process.wait()
+                    break
+    return results
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", type=int, default=2500)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=20.0, help="a case that takes longer hangs")
+    parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.worker:
+        worker(options.seed, options.first, options.first + options.cases, options.folder)
+        return 0
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        results = supervise(options.seed, options.first, options.cases, options.seconds, folder)
+    kinds = collections.Counter((result["kind"], result["status"]) for result in results)
+    for (kind, status), count in sorted(kinds.items(), key=str):
+        print(f"{kind:<18}{'crash or hang' if status is None else f'exit status {status}'}: {count}")
+    wrong = [result for result in results if result["wrong"]]
+    slowest = max(results, key=lambda result: result["seconds"])
+    print(f"{len(results)} cases, {len(wrong)} wrong, slowest {slowest['seconds']:.1f} s (case {slowest['number']})")
+    for result in wrong:
+        print(f"  case {result['number']}: {result['wrong'].strip().splitlines()[-1]}")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
