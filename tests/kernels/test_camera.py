@@ -36,12 +36,13 @@ RAYS = RayView(
 EVERY_VIEW = {**VIEWS, "rays": RAYS}
 
 
-def rays(probe, view, sample=0):
-    """Origins (km) and directions of one sample in every pixel."""
+def rays(probe, view, sample=0, others=()):
+    """Origins (km) and directions of one sample in every pixel of a view that comes after others."""
     count = view.pixels[0] * view.pixels[1]
     scene = Scene(grid=GRID, sun=Sun(zenith=0))
     origins, directions = probe(
-        "probe_camera", count, scene_struct(scene), view_structs([view], GRID), ray_array([view], scene),
+        "probe_camera", count, scene_struct(scene), view_structs([*others, view], GRID)[-1:],
+        ray_array([*others, view], scene),
         np.uint32(SEED), np.uint32(sample), results=[np.zeros((count, 3), np.float32)] * 2,
     )  # fmt: skip
     return origins.astype(float) + GRID.origin, directions.astype(float)
@@ -134,6 +135,12 @@ def test_a_push_broom_image_has_the_end_of_the_track_at_the_top_and_its_right_on
     assert np.all(np.diff(origins[:, 1].reshape(3, 5).mean(axis=1)) < 0)
     assert np.all(np.diff(directions[:, 0].reshape(3, 5).mean(axis=0)) > 0)
     np.testing.assert_allclose(directions[:, 1], 0, atol=1e-7)
+
+
+def test_several_lists_of_rays_are_kept_apart(probe):
+    alone = rays(probe, RAYS)
+    others = [RayView([(1, -2, 1)] * 5, [(0, 0, -1)] * 5), VIEWS["orthographic, nadir"]]
+    np.testing.assert_array_equal(rays(probe, RAYS, others=others), alone)
 
 
 @pytest.mark.parametrize("distance", [0, 1, 700, 36_000])
