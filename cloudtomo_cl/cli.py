@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from cloudtomo_cl import cloud_command
+from cloudtomo_cl import cloud_command, validate_command
 from cloudtomo_cl.errors import CloudtomoError, Interrupted
 from cloudtomo_cl.stopping import ending_tidily
 
@@ -144,6 +144,10 @@ def parser() -> argparse.ArgumentParser:
 
     report = add("report", "make a run's figures again", REPORT, "example:\n  cloudtomo report run", quiet)
     report.add_argument("folder", type=Path, metavar="DIR", help="a run folder")
+
+    texts = (validate_command.DESCRIPTION, validate_command.EXAMPLES)
+    validate = add("validate", "compare with published numbers", *texts, device, quiet, overwrite)
+    validate_command.add_arguments(validate, _seed)
     return top
 
 
@@ -177,7 +181,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from cloudtomo_cl import commands
 
         with ending_tidily():
-            getattr(commands, command)(**options)
+            status = getattr(commands, command)(**options)
     except Interrupted as interrupted:
         print(f"cloudtomo {command}: {interrupted}", file=sys.stderr)
         return interrupted.status
@@ -194,7 +198,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"cloudtomo {command}: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
-    return 0
+    return status or 0
 
 
 if __name__ == "__main__":

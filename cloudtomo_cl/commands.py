@@ -25,6 +25,7 @@ from cloudtomo_cl.scene import Scene
 from cloudtomo_cl.sensors import View
 from cloudtomo_cl.stages import automatic_stages
 from cloudtomo_cl.transport import RadianceOperator, Rendering
+from cloudtomo_cl.validate_command import validate as validate
 
 # Photons per pixel of the images without cloud that carving compares with. Without air only the
 # horizon makes them noisy.

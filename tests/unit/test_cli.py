@@ -89,7 +89,7 @@ def test_help_waits_for_no_slow_import(module):
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
 
 
-@pytest.mark.parametrize("command", ["devices", "cloud", "render", "reconstruct", "report"])
+@pytest.mark.parametrize("command", ["devices", "cloud", "render", "reconstruct", "report", "validate"])
 def test_help_of_every_command_has_an_example(command, capsys):
     with pytest.raises(SystemExit) as exit_:
         main([command, "--help"])
