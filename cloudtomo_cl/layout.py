@@ -145,7 +145,6 @@ def sun_view_struct(scene: Scene) -> tuple[np.ndarray, float]:
     wider by what of the sides the sun can see.
     """
     grid, to_sun = scene.grid, scene.sun.direction
-    levels, _ = scene.air_layers()
     lower, upper = np.zeros(2), np.array(grid.extent[:2])
     columns = np.array(grid.shape[:2])
     if scene.boundary.horizontal == "open":
@@ -153,8 +152,7 @@ def sun_view_struct(scene: Scene) -> tuple[np.ndarray, float]:
         lower, upper = np.minimum(lower, shift), np.maximum(upper, upper + shift)
         columns = np.ceil((upper - lower) / grid.spacing[:2] - 1e-9).astype(int)
     struct = np.zeros((), STRUCTS["View"])
-    top = max(levels[-1], grid.origin[2] + grid.extent[2]) - grid.origin[2]
-    struct["origin"] = [*lower, top, upper[0] - lower[0], 0, 0, 0, upper[1] - lower[1], 0]
+    struct["origin"] = [*lower, scene.top - grid.origin[2], upper[0] - lower[0], 0, 0, 0, upper[1] - lower[1], 0]
     struct["direction"][:3] = -to_sun
     struct["width"], struct["height"] = columns
     struct["first_ray"] = -1

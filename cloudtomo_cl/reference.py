@@ -4,28 +4,37 @@ Everything here is written from the equations, one path at a time, with no thoug
 It draws the random numbers of docs/sampling.md, as the kernels do, so that a path of the
 kernels and its path here are the same one up to rounding.
 
-In the order of reading: random numbers, rays, flights, scattering, paths. Lengths are
+In the order of reading: random numbers, rays, flights, paths; scattering has a file of its own. Lengths are
 in km, extinction in km^-1, radiances in sr^-1 (for a sun of irradiance 1). Equation numbers
 are those of the supplement on the monotonicity prior.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
 
 from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.reference_scattering import (
+    Particle,
+    direction_around,
+    droplet_density,
+    droplet_in_voxel,
+    henyey_greenstein,
+    middle_row,
+    sample_droplet,
+    scatter,
+    scatter_density,
+)
 from cloudtomo_cl.scene import Scene
 from cloudtomo_cl.sensors import View
 
-Particle = Literal["droplet", "molecule", "surface"]
-
 # docs/sampling.md gives the meaning of these numbers.
 BLOCKS_PER_EVENT = 64
+SUN_VIEW = 2**32 - 1
 PATH_ROULETTE_WEIGHT = 0.1
 LOCAL_ESTIMATE_ROULETTE = 0.03
 SIDE_FLIGHT_RATE, SIDE_FLIGHT_LEAST, SIDE_FLIGHT_MOST = 6.0, 0.05, 6.0
@@ -186,9 +195,29 @@ def voxel_crossings(
 
 
 @lru_cache
-def air_profile(scene: Scene) -> np.ndarray:
-    """Extinction of the molecules per layer, km^-1, shape (nz,)."""
-    return scene.air.profile(scene.grid) if scene.air else np.zeros(scene.grid.shape[2])
+def air_layers(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Levels of all layers of air, km above the ground, and the extinction of their molecules, km^-1."""
+    return scene.air_layers()
+
+
+def outside_crossings(
+    scene: Scene, position: np.ndarray, direction: np.ndarray, inside: tuple[float, float] | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Layers of air that a ray crosses outside of the grid, but for the distances `inside` of it, km.
+
+    Returns the layers' extinctions (km^-1), the distances at which they are entered, and the lengths (km).
+    """
+    levels, extinction = air_layers(scene)
+    height, rise = position[2], direction[2]
+    if scene.air is None or not scene.air.is_outside or rise == 0:
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+    cuts = np.sort(np.maximum((levels - height) / rise, 0.0))
+    cuts = np.unique(np.concatenate([cuts, np.clip(inside or (), cuts[0], cuts[-1])]))
+    starts, lengths = cuts[:-1], np.diff(cuts)
+    middles = starts + lengths / 2
+    layer = np.clip(np.searchsorted(levels, height + middles * rise) - 1, 0, len(extinction) - 1)
+    outside = np.ones(len(starts), bool) if inside is None else (middles < inside[0]) | (middles > inside[1])
+    return extinction[layer][outside], starts[outside], lengths[outside]
 
 
 @dataclass(frozen=True)
@@ -199,107 +228,74 @@ class Flight:
     ----------
     lengths : flown in every voxel, km, shape of the grid
     depth : optical depth flown through
-    position : where it collided or left the domain, km (None: it never met the domain)
-    voxel : where it collided (None: it left the domain)
+    position : where it collided or left all that scatters, km (None: it never met any of it)
+    collided : whether it did
+    voxel : where it collided (None: outside of the grid, or not at all)
+    through_side : whether it left the grid by a side
     """
 
     lengths: np.ndarray
     depth: float
     position: np.ndarray | None = None
+    collided: bool = False
     voxel: tuple[int, int, int] | None = None
+    through_side: bool = False
 
 
 def fly(
     scene: Scene, extinction: np.ndarray, position: np.ndarray, direction: np.ndarray, reach: float = np.inf
 ) -> Flight:
-    """Flies until an optical depth `reach` of droplets and air, or out of the domain (Eqs. 3, 12, 16)."""
-    voxels, starts, crossed = voxel_crossings(scene.grid, position, direction, scene.boundary.horizontal == "periodic")
-    lengths = np.zeros(scene.grid.shape)
-    if len(voxels) == 0:
+    """Flies until an optical depth `reach` of droplets and air, or out of both (Eqs. 3, 12, 16)."""
+    grid = scene.grid
+    voxels, starts, crossed = voxel_crossings(grid, position, direction, scene.boundary.horizontal == "periodic")
+    lengths = np.zeros(grid.shape)
+    met = len(voxels) > 0
+    inside = (starts[0], starts[-1] + crossed[-1]) if met else None
+    levels, layers = air_layers(scene)
+    below = int(np.argmin(np.abs(levels - grid.origin[2])))
+    total = extinction[tuple(voxels.T)] + layers[below + voxels[:, 2]]
+    others, other_starts, others_crossed = outside_crossings(scene, position, direction, inside)
+    order = np.argsort(np.concatenate([starts, other_starts]), kind="stable")
+    voxels = np.concatenate([voxels, np.full((len(others), 3), -1)])[order]
+    starts = np.concatenate([starts, other_starts])[order]
+    crossed = np.concatenate([crossed, others_crossed])[order]
+    total = np.concatenate([total, others])[order]
+    if len(starts) == 0:
         return Flight(lengths, 0.0)
-    total = extinction[tuple(voxels.T)] + air_profile(scene)[voxels[:, 2]]
     depths = np.concatenate([[0.0], np.cumsum(total * crossed)])  # at the faces
-    collided = depths[-1] >= reach
+    collided = bool(depths[-1] >= reach)
     if collided:
         last = int(np.argmax(depths >= reach)) - 1
         voxels, starts, crossed = voxels[: last + 1], starts[: last + 1], crossed[: last + 1].copy()
         crossed[last] = (reach - depths[last]) / total[last]
-    np.add.at(lengths, tuple(voxels.T), crossed)
+    in_grid = voxels[:, 0] >= 0
+    np.add.at(lengths, tuple(voxels[in_grid].T), crossed[in_grid])
     end = position + (starts[-1] + crossed[-1]) * direction
     if collided:
-        x, y, z = voxels[-1]
-        return Flight(lengths, reach, end, (int(x), int(y), int(z)))
-    return Flight(lengths, float(depths[-1]), end)
+        x, y, z = (int(i) for i in voxels[-1])
+        return Flight(lengths, reach, end, True, (x, y, z) if x >= 0 else None)
+    left = 0.0 if inside is None else (position + inside[1] * direction)[2] - grid.origin[2]
+    side = met and 1e-9 < left < grid.extent[2] - 1e-9
+    return Flight(lengths, float(depths[-1]), end, through_side=side)
 
 
 def transmittance(scene: Scene, extinction: np.ndarray, position: np.ndarray, direction: np.ndarray) -> float:
-    """From a position to where a ray leaves the domain."""
+    """From a position to where a ray leaves all that scatters."""
     return float(np.exp(-fly(scene, extinction, position, direction).depth))
 
 
-# --- scattering -------------------------------------------------------------------------
-
-
-def henyey_greenstein(cosine: float, g: float) -> float:
-    """Density of scattering, sr^-1 (Henyey and Greenstein 1941)."""
-    return (1 - g * g) / (4 * np.pi * (1 + g * g - 2 * g * cosine) ** 1.5)
-
-
-def rayleigh(cosine: float) -> float:
-    """Density of scattering, sr^-1, of unpolarised light."""
-    return 3 / (16 * np.pi) * (1 + cosine * cosine)
-
-
-def sample_henyey_greenstein(u: float, g: float) -> float:
-    """The cosine below which a share u of the light is scattered."""
-    if g == 0:
-        return 2 * u - 1
-    return float(np.clip((1 + g * g - ((1 - g * g) / (1 - g + 2 * g * u)) ** 2) / (2 * g), -1, 1))
-
-
-def sample_rayleigh(u: float) -> float:
-    """The cosine below which a share u of the light is scattered: c^3 + 3 c + 4 = 8 u."""
-    roots = np.roots([1.0, 0.0, 3.0, 4.0 - 8.0 * u])
-    return float(np.clip(roots[np.argmin(np.abs(roots.imag))].real, -1, 1))
-
-
-def direction_around(axis: np.ndarray, cosine: float, u: float) -> np.ndarray:
-    """The unit vector at a cosine from `axis` and at azimuth 2 pi u in the frame of Duff et al. 2017."""
-    x, y, z = axis
-    sign = np.copysign(1.0, z)
-    a = -1 / (sign + z)
-    b = x * y * a
-    first = np.array([1 + sign * x * x * a, sign * b, -sign * x])
-    second = np.array([b, sign + y * y * a, -y])
-    sine = np.sqrt(max(1 - cosine * cosine, 0.0))
-    result = sine * (np.cos(2 * np.pi * u) * first + np.sin(2 * np.pi * u) * second) + cosine * axis
-    return result / np.linalg.norm(result)
-
-
-def scatter_density(scene: Scene, particle: Particle, before: np.ndarray, after: np.ndarray) -> float:
-    """Density, sr^-1, of scattering from one direction of a path into another."""
-    if particle == "droplet":
-        return henyey_greenstein(before @ after, scene.cloud.phase_function.g)
-    return rayleigh(before @ after) if particle == "molecule" else max(after[2], 0.0) / np.pi
-
-
-def scatter(scene: Scene, particle: Particle, before: np.ndarray, u: float, u_azimuth: float) -> np.ndarray:
-    """A direction drawn from `scatter_density`."""
-    if particle == "surface":
-        return direction_around(np.array([0.0, 0.0, 1.0]), np.sqrt(u), u_azimuth)
-    g = scene.cloud.phase_function.g
-    cosine = sample_henyey_greenstein(u, g) if particle == "droplet" else sample_rayleigh(u)
-    return direction_around(before, cosine, u_azimuth)
-
-
 def met_particle(
-    scene: Scene, extinction: np.ndarray, voxel: tuple[int, int, int], u: float
+    scene: Scene, extinction: np.ndarray, effective_radius: np.ndarray | None, flight: Flight, u: float, u_row: float
 ) -> tuple[Particle, float, float]:
     """The particle of a collision, its single-scattering albedo, and 1 / extinction of a droplet, else 0."""
-    air, droplets = air_profile(scene)[voxel[2]], extinction[voxel]
-    if u * (droplets + air) < droplets:
-        return "droplet", scene.cloud.single_scattering_albedo, 1 / droplets
-    return "molecule", scene.air.single_scattering_albedo, 0.0  # type: ignore[union-attr]
+    if flight.voxel is not None:
+        levels, layers = air_layers(scene)
+        air = layers[int(np.argmin(np.abs(levels - scene.grid.origin[2]))) + flight.voxel[2]]
+        droplets = extinction[flight.voxel]
+        if u * (droplets + air) < droplets:
+            radius = None if effective_radius is None else effective_radius[flight.voxel]
+            return *droplet_in_voxel(scene, radius, u_row), 1 / droplets
+    return Particle("molecule"), scene.air.single_scattering_albedo, 0.0  # type: ignore[union-attr]
 
 
 # --- paths ------------------------------------------------------------------------------
@@ -345,34 +341,107 @@ def local_estimate(
 
 
 def side_flights(
-    scene: Scene, extinction: np.ndarray, position: np.ndarray, before: np.ndarray, particle: Particle,
-    weight: float, count: float, history: np.ndarray, number: int, random: Iterator[np.ndarray],
+    scene: Scene, extinction: np.ndarray, effective_radius: np.ndarray | None, position: np.ndarray,
+    before: np.ndarray, particle: Particle, weight: float, count: float, history: np.ndarray, number: int,
+    random: Iterator[np.ndarray],
 ) -> Iterator[Contribution]:
     """The next order's sunlight by `number` flights drawn around the sun (docs/sampling.md).
 
     They share the estimate with the path's own next flight by the balance heuristic
     (Veach and Guibas 1995); `count` is the mean of `number`.
     """
-    sun, g = scene.sun.direction, scene.cloud.phase_function.g
+    sun, row = scene.sun.direction, middle_row(scene)
     for _ in range(number):
-        w, w_roulette = next(random), next(random)[0]
-        direction = direction_around(sun, sample_henyey_greenstein(w[2], g), w[3])
+        w, w_next = next(random), next(random)
+        direction = direction_around(sun, sample_droplet(scene, row, w[2]), w[3])
         flight = fly(scene, extinction, position, direction, -np.log(w[0]))
-        if flight.voxel is None:
+        if not flight.collided:
             continue
-        target, albedo, inverse = met_particle(scene, extinction, flight.voxel, w[1])
+        target, albedo, inverse = met_particle(scene, extinction, effective_radius, flight, w[1], w_next[1])
         density = scatter_density(scene, particle, before, direction)
-        sun_density = henyey_greenstein(direction @ sun, g)
+        sun_density = droplet_density(scene, row, direction @ sun)
         estimate = weight * albedo * density * scatter_density(scene, target, direction, sun)
         estimate /= density + count * sun_density
         onward = history - flight.lengths
-        onward[flight.voxel] += inverse
-        yield local_estimate(scene, extinction, flight.position, estimate, onward, w_roulette)
+        if inverse:
+            onward[flight.voxel] += inverse
+        yield local_estimate(scene, extinction, flight.position, estimate, onward, w_next[0])
+
+
+@dataclass(frozen=True)
+class Event:
+    """An interaction of a path.
+
+    Attributes
+    ----------
+    number : 1, 2, ...
+    position, direction : km; the direction it comes along
+    particle, albedo : what it met
+    weight : that the path came with
+    survivor : the weight it goes on with, after albedo and roulette; 0 if it ends here
+    onward : the direction it goes on in
+    history : d log(density of the path up to here) / d extinction, km, shape of the grid
+    """
+
+    number: int
+    position: np.ndarray
+    direction: np.ndarray
+    particle: Particle
+    albedo: float
+    weight: float
+    survivor: float
+    onward: np.ndarray
+    history: np.ndarray
+
+
+def walk(
+    scene: Scene, extinction: np.ndarray, effective_radius: np.ndarray | None, position: np.ndarray,
+    direction: np.ndarray, block: Callable[[int], np.ndarray],
+    leave: Callable[[int, Flight, np.ndarray, float], None] = lambda *_: None,
+) -> Iterator[Event]:
+    """The random walk.
+
+    Parameters
+    ----------
+    position, direction : of its first ray, km
+    block : the uniform numbers of a block
+    leave : called with event number, flight, direction and weight wherever the path leaves all that
+        scatters, also on its way to the surface
+
+    Source: docs/sampling.md.
+    """
+    history, weight, number = np.zeros(scene.grid.shape), 1.0, 0
+    while True:
+        number += 1
+        u, v = block(BLOCKS_PER_EVENT * number), block(BLOCKS_PER_EVENT * number + 1)
+        flight = fly(scene, extinction, position, direction, -np.log(u[0]))
+        history = history - flight.lengths
+        if flight.position is not None:
+            position = flight.position
+        if flight.collided:
+            particle, albedo, inverse = met_particle(scene, extinction, effective_radius, flight, u[1], v[3])
+            if inverse:
+                history[flight.voxel] += inverse
+        else:
+            leave(number, flight, direction, weight)
+            if scene.surface.albedo == 0 or direction[2] >= 0:
+                return
+            particle, albedo = Particle("surface"), scene.surface.albedo
+            position = position + direction * (position[2] / -direction[2])
+            position[2] = 0.0
+        survivor = weight * albedo
+        if survivor < PATH_ROULETTE_WEIGHT:
+            survivor = PATH_ROULETTE_WEIGHT if v[1] * PATH_ROULETTE_WEIGHT < survivor else 0.0
+        onward = scatter(scene, particle, direction, u[2], u[3])
+        yield Event(number, position, direction, particle, albedo, weight, survivor, onward, history)
+        if survivor == 0:
+            return
+        weight, direction = survivor, onward
 
 
 def path(
     scene: Scene, extinction: np.ndarray, view: View, seed: int, iteration: int,
-    view_index: int, pixel: int, sample: int, with_side_flights: bool,
+    view_index: int, pixel: int, sample: int, with_side_flights: bool, effective_radius: np.ndarray | None = None,
 ) -> list[Contribution]:
     """All contributions of one path; their sum is its radiance.
 
@@ -381,6 +450,7 @@ def path(
     extinction : of the droplets, km^-1, shape of the grid
     view_index : the view's index among all views, one of the counters of the random numbers
     pixel : row * width + column
+    effective_radius : micrometres, shape of the grid; by default the scene's
 
     Source: Eqs. 1-4, 12, 16; the random numbers are laid out as in docs/sampling.md.
     """
@@ -388,51 +458,66 @@ def path(
     def block(number: int) -> np.ndarray:
         return uniforms(seed, iteration, view_index, pixel, sample, number)
 
-    sun, g = scene.sun.direction, scene.cloud.phase_function.g
+    sun, wide_g = scene.sun.direction, scene.cloud.phase_function.g ** 2
     jitter = block(0)
     width = view.pixels[0]
     position, direction = camera_ray(view, scene.grid, pixel % width + jitter[0], pixel // width + jitter[1])
     contributions: list[Contribution] = []
-    history = np.zeros(scene.grid.shape)
-    weight, own_share, event = 1.0, 1.0, 0
-    while True:
-        event += 1
-        u, v = block(BLOCKS_PER_EVENT * event), block(BLOCKS_PER_EVENT * event + 1)
-        flight = fly(scene, extinction, position, direction, -np.log(u[0]))
-        history = history - flight.lengths
-        if flight.position is not None:
-            position = flight.position
-        particle: Particle
-        if flight.voxel is not None:
-            particle, albedo, inverse = met_particle(scene, extinction, flight.voxel, u[1])
-            history[flight.voxel] += inverse
-        elif scene.surface.albedo > 0 and direction[2] < 0:
-            particle, albedo = "surface", scene.surface.albedo
-            position = position + direction * (position[2] / -direction[2])
-            position[2] = 0.0
+    own_share = 1.0
+    for event in walk(scene, extinction, effective_radius, position, direction, block):
+        if event.particle.kind == "surface":
             own_share = 1.0  # side flights estimate collisions only
-        else:
-            return contributions
-        weight *= albedo
-        towards_sun = own_share * weight * scatter_density(scene, particle, direction, sun)
+        towards_sun = own_share * event.weight * event.albedo
+        towards_sun *= scatter_density(scene, event.particle, event.direction, sun)
+        v = block(BLOCKS_PER_EVENT * event.number + 1)
         # What a camera sees directly, and the ground, stay free of the roulette's noise.
-        plays = with_side_flights and event > 1 and particle != "surface"
+        plays = with_side_flights and event.number > 1 and event.particle.kind != "surface"
         roulette = v[0] if plays else None
-        contributions.append(local_estimate(scene, extinction, position, towards_sun, history, roulette))
-        if weight < PATH_ROULETTE_WEIGHT:
-            if v[1] * PATH_ROULETTE_WEIGHT >= weight:
-                return contributions
-            weight = PATH_ROULETTE_WEIGHT
-        onward = scatter(scene, particle, direction, u[2], u[3])
-        if with_side_flights:
-            count = SIDE_FLIGHT_RATE * weight * henyey_greenstein(direction @ sun, g * g)
+        contributions.append(local_estimate(scene, extinction, event.position, towards_sun, event.history, roulette))
+        if with_side_flights and event.survivor > 0:
+            count = SIDE_FLIGHT_RATE * event.survivor * henyey_greenstein(event.direction @ sun, wide_g)
             count = min(max(count, SIDE_FLIGHT_LEAST), SIDE_FLIGHT_MOST)
-            random = (block(BLOCKS_PER_EVENT * event + 2 + n) for n in range(BLOCKS_PER_EVENT - 2))
+            first = BLOCKS_PER_EVENT * event.number + 2
+            random = (block(first + n) for n in range(BLOCKS_PER_EVENT - 2))
             contributions.extend(
                 side_flights(
-                    scene, extinction, position, direction, particle, weight, count, history, int(count + v[2]), random
+                    scene, extinction, effective_radius, event.position, event.direction, event.particle,
+                    event.survivor, count, event.history, int(count + v[2]), random,
                 )
             )
-            density = scatter_density(scene, particle, direction, onward)
-            own_share = density / (density + count * henyey_greenstein(onward @ sun, g))
-        direction = onward
+            density = scatter_density(scene, event.particle, event.direction, event.onward)
+            own_share = density / (density + count * droplet_density(scene, middle_row(scene), event.onward @ sun))
+    return contributions
+
+
+def photon(
+    scene: Scene, extinction: np.ndarray, seed: int, position: np.ndarray, pixel: int, sample: int,
+    effective_radius: np.ndarray | None = None,
+) -> list[tuple[str, tuple[int, int], float]]:
+    """What a photon from the sun leaves behind in the columns of the grid: (flux, column, weight).
+
+    Parameters
+    ----------
+    position : where it starts, km, on the top of all that scatters; its first two uniform numbers
+        are given to it by the caller
+    """
+    grid, periodic = scene.grid, scene.boundary.horizontal == "periodic"
+    tally: list[tuple[str, tuple[int, int], float]] = []
+
+    def column(place: np.ndarray) -> tuple[int, int]:
+        x, y = (int(i) for i in np.floor((place[:2] - grid.origin[:2]) / grid.spacing[:2]))
+        return (x % grid.shape[0], y % grid.shape[1]) if periodic else (x, y)
+
+    def leave(number: int, flight: Flight, direction: np.ndarray, weight: float) -> None:
+        if not periodic and (flight.through_side or flight.position is None):
+            return
+        down = "direct" if number == 1 else "diffuse"
+        tally.append(("reflected" if direction[2] > 0 else down, column(flight.position), weight))
+
+    def block(number: int) -> np.ndarray:
+        return uniforms(seed, 0, SUN_VIEW, pixel, sample, number)
+
+    for event in walk(scene, extinction, effective_radius, position, -scene.sun.direction, block, leave):
+        if event.particle.kind != "surface" and event.albedo < 1:
+            tally.append(("absorbed", column(event.position), event.weight * (1 - event.albedo)))
+    return tally

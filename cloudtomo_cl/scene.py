@@ -192,6 +192,11 @@ class Scene:
         """`Air.layers` on the scene's grid; without air they hold nothing."""
         return (self.air or Air(extinction=0.0)).layers(self.grid)
 
+    @property
+    def top(self) -> float:
+        """The height of all that scatters, km."""
+        return float(self.air_layers()[0][-1])
+
     def air_layers_below(self) -> int:
         """How many layers of air lie below the grid."""
         levels, _ = self.air_layers()

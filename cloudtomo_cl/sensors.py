@@ -412,7 +412,7 @@ class RayView:
         air_outside = scene.air is not None and scene.air.is_outside
         axes = [2] if periodic or air_outside else [0, 1, 2]
         if air_outside:
-            lower[2], upper[2] = 0.0, scene.air_layers()[0][-1]
+            lower[2], upper[2] = 0.0, scene.top
         near, far = clip_to_box(self.origins, self.directions, lower, upper, axes)
         with np.errstate(divide="ignore", invalid="ignore"):
             to_ground = self.origins[:, 2] / np.maximum(-self.directions[:, 2], 0.0)

@@ -112,8 +112,7 @@ class RadianceOperator:
             scene, self.device, effective_radius, self.estimator == "side-flights", truncation or np.inf
         )
         # Views from afar look through all of the atmosphere.
-        top = scene.air_layers()[0][-1]
-        self._views = self.device.constant(view_structs(self.views, scene.grid, top))
+        self._views = self.device.constant(view_structs(self.views, scene.grid, scene.top))
         self._rays = self.device.constant(ray_array(self.views, scene))
         self._pixels = self.device.constant(self.pixels)
         self._render_paths = self.device.kernel("render", "render_paths", self._medium.features)

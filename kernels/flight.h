@@ -50,7 +50,7 @@ inline bool fly_outside(const Medium *medium, Ray *ray, float reach, float limit
         const float depth = flight->depth + (air > 0.0f ? air * fmax(end - distance, 0.0f) : 0.0f);
         if (depth >= reach) {
             distance = fmin(distance + (reach - flight->depth) / air, end);
-            ray->position += distance * ray->direction / spacing;
+            ray->position = wrapped(scene, ray->position + distance * ray->direction / spacing);
             ray->inside = false;
             flight->collided = true;
             flight->depth = reach;
@@ -63,7 +63,7 @@ inline bool fly_outside(const Medium *medium, Ray *ray, float reach, float limit
         distance = end;
     }
     if (isinf(limit))
-        ray->position += distance * ray->direction / spacing;
+        ray->position = wrapped(scene, ray->position + distance * ray->direction / spacing);
     return false;
 }
 #endif

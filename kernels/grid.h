@@ -39,6 +39,16 @@ inline int voxel_index(const __constant Scene *scene, int3 voxel)
     return (voxel.x * scene->shape[1] + voxel.y) * scene->shape[2] + voxel.z;
 }
 
+/* The position in the domain that a position in one of its periodic copies stands for. */
+inline float3 wrapped(const __constant Scene *scene, float3 position)
+{
+    if (scene->periodic) {
+        const float2 count = (float2)((float)scene->shape[0], (float)scene->shape[1]);
+        position.xy -= count * floor(position.xy / count);
+    }
+    return position;
+}
+
 /* Where along one axis a ray is between two faces: [*near, *far] in km. */
 inline void clip_axis(float position, float direction, float spacing, float count,
                       float *near, float *far)
@@ -70,10 +80,7 @@ inline bool enter_domain(const __constant Scene *scene, Ray *ray, float *distanc
     if (!(near < far))
         return false;
     float3 position = ray->position + near * ray->direction / spacing;
-    if (scene->periodic) {
-        position.x -= count.x * floor(position.x / count.x);
-        position.y -= count.y * floor(position.y / count.y);
-    }
+    position = wrapped(scene, position);
     ray->position = clamp(position, (float3)(0.0f), count);
     ray->voxel = min(convert_int3(ray->position), grid_shape(scene) - 1);
     ray->inside = true;

@@ -69,12 +69,8 @@ inline float remaining(const Record *record) { return 0.0f; }
 inline void tally_column(const __constant Scene *scene, const Record *record, Flux flux, float3 position, float weight)
 {
 #ifdef CLOUDTOMO_FLUX
-    const float2 count = (float2)((float)scene->shape[0], (float)scene->shape[1]);
-    float2 place = position.xy;
-    if (scene->periodic)
-        place -= count * floor(place / count);
     const int2 last = (int2)(scene->shape[0], scene->shape[1]) - 1;
-    const int2 column = clamp(convert_int2(place), (int2)(0), last);
+    const int2 column = clamp(convert_int2(wrapped(scene, position).xy), (int2)(0), last);
     const int index = ((int)flux * scene->shape[0] + column.x) * scene->shape[1] + column.y;
     accumulate(record->columns + index, weight * WEIGHT_UNIT);
 #endif

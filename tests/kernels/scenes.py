@@ -4,7 +4,7 @@ import numpy as np
 
 from cloudtomo_cl import reference
 from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.phase import HenyeyGreenstein
+from cloudtomo_cl.phase import DoubleHenyeyGreenstein, HenyeyGreenstein, TabulatedPhaseFunction
 from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
 from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
 
@@ -30,6 +30,22 @@ RAYS = RayView(
 )  # fmt: skip
 
 
+# Three radii: peaks that grow sharper, a bump near 140 degrees. Single precision holds its angles.
+ANGLES = (0.0, 1.0, 2.0, 4.0, 7.0, 11.0, 20.0, 40.0, 70.0, 100.0, 130.0, 140.0, 150.0, 180.0)
+TABLE = TabulatedPhaseFunction.normalised(
+    ANGLES,
+    [
+        width * np.exp(-np.array(ANGLES) / 3 * width) + np.exp(-np.array(ANGLES) / 25)
+        + 0.02 * (1 + np.exp(-(((np.array(ANGLES) - 140) / 10) ** 2)))
+        for width in (1.0, 2.0, 4.0)
+    ],
+    effective_radius=(5.0, 10.0, 20.0),
+    single_scattering_albedo=(1.0, 0.95, 0.9),
+)  # fmt: skip
+# Below, beside and above the grid, with a gap that holds none.
+OUTSIDE_AIR = Air((3.0, 0.5, 1.0, 0.0, 0.4), 0.7, levels=(0.0, 0.1, 0.3, 0.7, 0.9, 1.4))
+
+
 def optics(g, albedo=1.0):
     return Cloud(single_scattering_albedo=albedo, phase_function=HenyeyGreenstein(g=g))
 
@@ -44,6 +60,16 @@ SCENES = {
     "periodic": Scene(GRID, Sun(zenith=70, azimuth=30), optics(0.85), boundary=PERIODIC),
     "air, ground, periodic": Scene(
         GRID, Sun(zenith=60, azimuth=300), optics(0.85, 0.85), Air(0.7), Surface(0.3), PERIODIC
+    ),
+}
+SCENES |= {
+    "double Henyey-Greenstein": Scene(
+        GRID, Sun(zenith=40, azimuth=100), Cloud(0.95, DoubleHenyeyGreenstein(0.9, -0.5, 0.8)), surface=Surface(0.2)
+    ),
+    "phase table": Scene(GRID, Sun(zenith=40, azimuth=100), Cloud(phase_function=TABLE, effective_radius=8.0)),
+    "air outside, open": Scene(GRID, Sun(zenith=45, azimuth=20), optics(0.85), OUTSIDE_AIR, Surface(0.3)),
+    "air outside, periodic": Scene(
+        GRID, Sun(zenith=65, azimuth=200), optics(0.7, 0.7), OUTSIDE_AIR, Surface(0.3), PERIODIC
     ),
 }
 ESTIMATORS = ["plain", "side-flights"]

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from cloudtomo_cl import reference
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.phase import HenyeyGreenstein
+from cloudtomo_cl.reference_scattering import henyey_greenstein
 from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
 from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, RayView
 from cloudtomo_cl.transport import RadianceOperator
@@ -34,7 +34,7 @@ def slab(sun_zenith, g):
     )
     mu0 = np.cos(np.radians(sun_zenith))
     slant, tau = 1 + 1 / mu0, EXTINCTION * 0.5
-    source = 2.0 * ALBEDO * reference.henyey_greenstein(-mu0, g)
+    source = 2.0 * ALBEDO * henyey_greenstein(-mu0, g)
     return scene, source / slant * (1 - np.exp(-tau * slant)), source * 0.5 * np.exp(-tau * slant)
 
 

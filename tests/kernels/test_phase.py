@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cloudtomo_cl import reference
+from cloudtomo_cl import reference, reference_scattering
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.layout import scene_struct
 from cloudtomo_cl.medium import profiles
@@ -32,9 +32,9 @@ def sphere_quadrature(g):
     nodes crowd where the density is large. Cosines are rounded as the kernels hold them.
     """
     t, weight = GAUSS_LEGENDRE
-    cosine = np.array([reference.sample_henyey_greenstein((x + 1) / 2, g) for x in t])
+    cosine = np.array([reference_scattering.sample_henyey_greenstein((x + 1) / 2, g) for x in t])
     cosine = cosine.astype(np.float32)
-    return cosine, weight / 2 / reference.henyey_greenstein(cosine.astype(float), g)
+    return cosine, weight / 2 / reference_scattering.henyey_greenstein(cosine.astype(float), g)
 
 
 # (1 - g)^2 of a float32 sum near 1 has lost log10(1 / (1 - g)^2) digits: at g = 0.99 the
@@ -72,7 +72,7 @@ def test_sampled_cosines_of_henyey_greenstein_invert_its_distribution(probe, g):
     # The kernel's cosine is a quotient over s^2 of terms of order 1, each good to about 2e-7;
     # that moves the distribution by as much times its slope.
     s = 1 + g * (2 * u.astype(float) - 1)
-    slope = 2 * np.pi * reference.henyey_greenstein(cosine, g)
+    slope = 2 * np.pi * reference_scattering.henyey_greenstein(cosine, g)
     assert np.all(np.abs(distribution - u) < 1e-6 + slope * 2e-7 * (1 + 1 / s**2))
 
 
@@ -136,8 +136,8 @@ def test_scattered_directions_follow_their_density(probe, random, particle, g):
 def test_densities_of_scattered_directions_are_those_of_the_reference(probe, random, particle, g):
     before = np.array([0.48, -0.6, 0.64])
     after, density = scattered(probe, particle, g, random, before, 1000)
-    name = {DROPLET: "droplet", MOLECULE: "molecule", SURFACE: "surface"}[particle]
-    expected = [reference.scatter_density(optics(g), name, before, direction) for direction in after]
+    name = reference_scattering.Particle({DROPLET: "droplet", MOLECULE: "molecule", SURFACE: "surface"}[particle])
+    expected = [reference_scattering.scatter_density(optics(g), name, before, direction) for direction in after]
     # A cosine's rounding of 1e-7 changes the density of g = 0.85 at its peak by 1e-5.
     np.testing.assert_allclose(density, expected, rtol=5e-5, atol=1e-6)
 
@@ -187,6 +187,6 @@ def test_directions_around_an_axis_keep_the_cosine(probe, axis, grid_of_angles):
 @pytest.mark.parametrize("axis", AXES.values(), ids=AXES)
 def test_directions_around_an_axis_are_those_of_the_reference(probe, axis, grid_of_angles):
     axis = np.array(axis) / np.linalg.norm(axis)
-    expected = [reference.direction_around(axis, c, u) for c, u in zip(*grid_of_angles, strict=True)]
+    expected = [reference_scattering.direction_around(axis, c, u) for c, u in zip(*grid_of_angles, strict=True)]
     # The sine of a small angle loses half of its digits.
     np.testing.assert_allclose(around(probe, axis, *grid_of_angles), expected, atol=2e-6)
