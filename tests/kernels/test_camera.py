@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cloudtomo_cl import reference
+from cloudtomo_cl import reference, reference_random
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.layout import ray_array, scene_struct, view_structs
 from cloudtomo_cl.scene import Scene, Sun
@@ -52,7 +52,7 @@ def rays(probe, view, sample=0, others=()):
 def test_rays_are_those_of_the_reference(probe, view):
     origins, directions = rays(probe, view, sample=3)
     for pixel, (origin, direction) in enumerate(zip(origins, directions, strict=True)):
-        jitter = reference.uniforms(SEED, 0, 0, pixel, 3, 0)
+        jitter = reference_random.uniforms(SEED, 0, 0, pixel, 3, 0)
         column, row = pixel % view.pixels[0] + jitter[0], pixel // view.pixels[0] + jitter[1]
         start, expected = reference.camera_ray(view, GRID, column, row)
         np.testing.assert_allclose(direction, expected, atol=5e-7)

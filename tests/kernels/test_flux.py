@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import GRID, OUTSIDE_AIR, PERIODIC, SCENES, TABLE, extinction_of, optics
 
-from cloudtomo_cl import reference
+from cloudtomo_cl import reference, reference_random
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.flux import FluxOperator
 from cloudtomo_cl.layout import sun_view_struct
@@ -30,7 +30,7 @@ def reference_fluxes(scene, extinction, photons_per_pixel, seed):
     fluxes = dict.fromkeys(FLUXES, 0.0) | {name: np.zeros(scene.grid.shape[:2]) for name in FLUXES}
     for pixel in range(width * height):
         for sample in range(photons_per_pixel):
-            u = reference.uniforms(seed, 0, reference.SUN_VIEW, pixel, sample, 0)
+            u = reference_random.uniforms(seed, 0, reference.SUN_VIEW, pixel, sample, 0)
             across, along = (pixel % width + u[0]) / width, (pixel // width + u[1]) / height
             start = origin[:3] + across * origin[3:6] + along * origin[6:9] + scene.grid.origin
             for name, column, weight in reference.photon(scene, extinction, seed, start, pixel, sample):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cloudtomo_cl import reference, reference_scattering
+from cloudtomo_cl import reference_random, reference_scattering
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.layout import scene_struct
 from cloudtomo_cl.medium import profiles
@@ -96,7 +96,7 @@ def optics(g):
 
 def scattered(probe, particle, g, random, before, count):
     """`count` directions scattered out of `before`, and their densities."""
-    numbers = reference.open_uniform(random.integers(0, 2**32, (count, 2), dtype=np.uint32))
+    numbers = reference_random.open_uniform(random.integers(0, 2**32, (count, 2), dtype=np.uint32))
     found = probe(
         "probe_scatter", count, scene_struct(optics(g)), profiles(optics(g)), np.int32(particle),
         np.tile(np.float32(before), (count, 1)), numbers, results=[np.zeros((count, 4), np.float32)],

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cloudtomo_cl import reference
+from cloudtomo_cl import reference_random
 
 
 @pytest.mark.parametrize(
@@ -20,7 +20,7 @@ from cloudtomo_cl import reference
     ],
 )
 def test_the_reference_gives_the_known_answers_of_random123(counter, key, expected):
-    assert reference.philox(np.array(counter), np.array(key)).tolist() == expected
+    assert reference_random.philox(np.array(counter), np.array(key)).tolist() == expected
 
 
 def keys(random, count):
@@ -33,7 +33,7 @@ def keys(random, count):
 def test_uniforms_have_the_bits_of_the_reference(probe, random):
     chosen = keys(random, 1000)
     found = probe("probe_uniforms", 1000, chosen, results=[np.zeros((1000, 4), np.float32)])
-    expected = reference.open_uniform(reference.philox(chosen[:, [2, 3, 4, 5]], chosen[:, [0, 1]]))
+    expected = reference_random.open_uniform(reference_random.philox(chosen[:, [2, 3, 4, 5]], chosen[:, [0, 1]]))
     np.testing.assert_array_equal(found.view(np.uint32), expected.view(np.uint32))
 
 
@@ -42,7 +42,7 @@ def test_the_words_of_a_key_take_their_places(probe):
     chosen = np.eye(6, dtype=np.uint32) * 7
     found = probe("probe_uniforms", 6, chosen, results=[np.zeros((6, 4), np.float32)])
     for numbers, (seed, iteration, pixel, view, sample, block) in zip(found, chosen, strict=True):
-        expected = reference.uniforms(seed, iteration, view, pixel, sample, block)
+        expected = reference_random.uniforms(seed, iteration, view, pixel, sample, block)
         np.testing.assert_array_equal(numbers, expected.astype(np.float32))
 
 
