@@ -18,6 +18,7 @@ from cloudtomo_cl.cloud_command import cloud as cloud
 from cloudtomo_cl.device import Device, choose_device, list_devices
 from cloudtomo_cl.errors import DataError, DeviceError, Interrupted, SettingsError
 from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.init_command import init as init
 from cloudtomo_cl.io import check_output
 from cloudtomo_cl.measurements import Measurements
 from cloudtomo_cl.provenance import describe_device, source, versions
@@ -66,6 +67,7 @@ def render(
     device: str | None,
     quiet: bool,
     overwrite: bool,
+    overrides: Sequence[str] = (),
 ) -> None:
     """Renders a scene file into a file of measurements."""
     from cloudtomo_cl import progress
@@ -77,7 +79,7 @@ def render(
         raise DataError(f"{png}: is a file, or lies beneath one: choose another folder for --png")
     if png is not None and not overwrite and any(png.glob("view_*.png")):
         raise DataError(f"{png}: holds previews already: choose another folder, or add --overwrite")
-    settings = read_render_settings(scene)
+    settings = read_render_settings(scene, overrides)
     grid, extinction = read_extinction(settings.cloud.file)
     described = settings.scene(grid)
     _check_views(described, views(settings.view))
@@ -111,7 +113,14 @@ def render(
 
 
 def reconstruct(
-    run: Path, seed: int | None, output: Path, resume: bool, device: str | None, quiet: bool, overwrite: bool
+    run: Path,
+    seed: int | None,
+    output: Path,
+    resume: bool,
+    device: str | None,
+    quiet: bool,
+    overwrite: bool,
+    overrides: Sequence[str] = (),
 ) -> None:
     """Reconstructs after a run file into a run folder."""
     from cloudtomo_cl.config import ReconstructSettings, read_reconstruct_settings, stored_scene, views
@@ -128,7 +137,7 @@ def reconstruct(
     if resumed is None:
         # Without a checkpoint there is nothing that a resume could lose.
         folder.check_new(overwrite or resume)
-    settings: ReconstructSettings = read_reconstruct_settings(run)
+    settings: ReconstructSettings = read_reconstruct_settings(run, overrides)
     measurements, stored = _read_measurements(settings.measurements.file)
     if settings.view is not None:
         try:

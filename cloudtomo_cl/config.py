@@ -21,6 +21,7 @@ from cloudtomo_cl.errors import SettingsError
 from cloudtomo_cl.formations import RingOfViews, StringOfScans, StringOfViews
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.optimizer import Optimizer
+from cloudtomo_cl.overrides import with_overrides
 from cloudtomo_cl.prior import Prior
 from cloudtomo_cl.scene import Air, Boundary, Cloud, NotNegative, Positive, Scene, Sun, Surface
 from cloudtomo_cl.sensors import (
@@ -53,14 +54,24 @@ Seed = Annotated[int, Field(ge=0, lt=2**32)]
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class File:
-    """A table that names a file."""
+    """A table that names a file.
+
+    Attributes
+    ----------
+    file : netCDF; images as `cloudtomo render` writes them, or extinction(x, y, z)
+    """
 
     file: InputFile
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class RayFile:
-    """A view that is a list of rays, in a file that `io.read_rays` reads."""
+    """A view that is a list of rays, in a file that `io.read_rays` reads.
+
+    Attributes
+    ----------
+    file : netCDF with origin(ray, axis) in km and direction(ray, axis)
+    """
 
     file: InputFile
     type: Literal["rays"] = "rays"
@@ -90,7 +101,12 @@ def views(tables: Sequence[ViewTable]) -> tuple[View, ...]:
 
 @dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
 class CloudFile(Cloud):
-    """The droplets' optics, and the file of their extinction."""
+    """The droplets' optics, and the file of their extinction.
+
+    Attributes
+    ----------
+    file : netCDF with extinction(x, y, z); `cloudtomo cloud` makes it from other formats
+    """
 
     file: InputFile
 
@@ -187,20 +203,24 @@ def stored_scene(scene: Scene) -> dict[str, Any]:
 Settings = TypeVar("Settings", RenderSettings, ReconstructSettings)
 
 
-def read_render_settings(path: str | Path) -> RenderSettings:
-    """Reads a scene file. SettingsError names the file, the key, what is wrong and what is allowed."""
-    return _read(Path(path), RenderSettings)
+def read_render_settings(path: str | Path, overrides: Sequence[str] = ()) -> RenderSettings:
+    """Reads a scene file. SettingsError names the file, the key, what is wrong and what is allowed.
 
-
-def read_reconstruct_settings(path: str | Path) -> ReconstructSettings:
-    """Reads a run file. SettingsError names the file, the key, what is wrong and what is allowed."""
+    `overrides` are `key=value`, see `overrides.with_overrides`.
+    """
     path = Path(path)
-    tables = _read_toml(path)
+    return _check(path, with_overrides(_read_toml(path), overrides), RenderSettings)
+
+
+def read_reconstruct_settings(path: str | Path, overrides: Sequence[str] = ()) -> ReconstructSettings:
+    """Reads a run file; as `read_render_settings`."""
+    path = Path(path)
+    tables = with_overrides(_read_toml(path), overrides)
     if isinstance(tables.get("cloud"), dict) and "file" in tables["cloud"]:
         raise SettingsError(
             f"{path}: cloud.file is not read by a reconstruction; to compare with a known cloud write [truth] file"
         )
-    return _read(path, ReconstructSettings)
+    return _check(path, tables, ReconstructSettings)
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
@@ -212,8 +232,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise SettingsError(f"{path}: is not TOML: {error}") from None
 
 
-def _read(path: Path, model: type[Settings]) -> Settings:
-    tables = _read_toml(path)
+def _check(path: Path, tables: dict[str, Any], model: type[Settings]) -> Settings:
     # Dates, which no key takes, become text and are refused as such.
     text = json.dumps(tables, default=str)
     try:

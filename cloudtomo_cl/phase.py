@@ -46,9 +46,13 @@ def _henyey_greenstein(cosine: np.ndarray | float, g: float) -> np.ndarray:
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class HenyeyGreenstein:
-    """Henyey and Greenstein 1941; g is the asymmetry, positive for forward scattering.
+    """Henyey and Greenstein 1941.
 
-    Beyond 0.99 the peak is too sharp for the kernels' single precision."""
+    Attributes
+    ----------
+    g : asymmetry, the mean cosine of the scattering angle, positive for forward scattering. Beyond
+        0.99 the peak is too sharp for the kernels' single precision.
+    """
 
     g: Asymmetry
     type: Literal["henyey-greenstein"] = "henyey-greenstein"

@@ -165,14 +165,24 @@ def rayleigh_optical_depth(wavelength: float) -> float:
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Surface:
-    """A Lambertian surface at z = 0, also outside of an open domain."""
+    """A Lambertian surface at z = 0, also outside of an open domain.
+
+    Attributes
+    ----------
+    albedo : the reflected share, 0 (black) to 1
+    """
 
     albedo: Fraction = 0.0
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Boundary:
-    """What lies beside the domain: vacuum ("open"), or its copies ("periodic")."""
+    """What lies beside the domain.
+
+    Attributes
+    ----------
+    horizontal : vacuum ("open"), or copies of the domain ("periodic")
+    """
 
     horizontal: Literal["open", "periodic"] = "open"
 

@@ -1,0 +1,72 @@
+"""`--set key=value`: values that take the place of a settings file's, before the file is checked."""
+
+from __future__ import annotations
+
+import copy
+import re
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from cloudtomo_cl.errors import SettingsError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+_EXAMPLE = "write for instance --set optimizer.step=0.2, or --set 'view[0].zenith=30'"
+
+
+def with_overrides(tables: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """A copy of the tables in which every `key=value` is done.
+
+    Parameters
+    ----------
+    tables : of a settings file
+    overrides : a dotted key, with [index] for an entry of a list, then = and a TOML value; what is no
+        TOML value is taken as text, so that the shell's quotes are enough
+
+    Raises
+    ------
+    SettingsError : no key, a key inside of something that is no table, no such entry of a list
+    """
+    tables = copy.deepcopy(tables)
+    for override in overrides:
+        key, equals, text = override.partition("=")
+        key = key.strip()
+        if not equals or not re.fullmatch(r"[A-Za-z_]\w*(\[\d+\])*(\.[A-Za-z_]\w*(\[\d+\])*)*", key):
+            raise SettingsError(f"--set {override}: is not key=value: {_EXAMPLE}")
+        parts = [int(part) if part.isdigit() else part for part in re.findall(r"\w+", key)]
+        node: Any = tables
+        for position, part in enumerate(parts[:-1]):
+            if isinstance(node, dict) and isinstance(part, str):
+                node = node.setdefault(part, {})
+            else:
+                node = _entry(override, node, part)
+            if not isinstance(node, (dict, list)):
+                raise SettingsError(f"--set {override}: {'.'.join(map(str, parts[: position + 1]))} is no table")
+        last = parts[-1]
+        if isinstance(node, list):
+            _entry(override, node, last)
+        elif not isinstance(last, str):
+            _entry(override, node, last)
+        node[last] = _value(text.strip())
+    return tables
+
+
+def _entry(override: str, node: Any, part: Any) -> Any:
+    if not isinstance(part, int):
+        raise SettingsError(f"--set {override}: {part} lies in a list: say which entry, as in view[0].{part}")
+    if not isinstance(node, list):
+        raise SettingsError(f"--set {override}: [{part}] is an entry of a list, and there is no list: {_EXAMPLE}")
+    if part >= len(node):
+        raise SettingsError(f"--set {override}: there is no entry [{part}]: the list has {len(node)}, counted from 0")
+    return node[part]
+
+
+def _value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
