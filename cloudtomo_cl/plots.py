@@ -5,7 +5,7 @@ Lengths in km, x to the right, z up; images with row 0 at the top.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 EXTINCTION_LABEL = "extinction (km$^{-1}$)"
 RADIANCE_LABEL = "radiance (W m$^{-2}$ sr$^{-1}$)"
 _AXES = "xyz"
+# More views side by side are too small to see anything.
+_COMPARED_VIEWS = 9
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -238,6 +240,52 @@ def plot_images(figure: Figure, measurements: Measurements) -> None:
     figure.colorbar(image, ax=axes, label=RADIANCE_LABEL, extend="max", shrink=0.6)
 
 
+def plot_image(axes: Axes, image: np.ndarray, white: float) -> Any:
+    """A radiance image, row 0 at the top, from 0 (black) to `white`. Returns it, for a colour bar."""
+    axes.set_axis_off()
+    return axes.imshow(image, cmap="gray", vmin=0, vmax=white, interpolation="nearest")
+
+
+def plot_difference(axes: Axes, difference: np.ndarray, largest: float = 5.0) -> Any:
+    """A difference of images in standard errors, red where positive, up to `largest`. Returns it."""
+    axes.set_axis_off()
+    return axes.imshow(difference, cmap="RdBu_r", vmin=-largest, vmax=largest, interpolation="nearest")
+
+
+def plot_comparison(figure: Figure, measured: Measurements, modelled: Measurements, views: Sequence[int]) -> None:
+    """Measured images, those of the recovered cloud, and the difference in standard errors of both together."""
+    axes = figure.subplots(3, len(views), squeeze=False)
+    white = radiance_limit(measured)
+    differences = measured.differences(modelled)
+    for column, view in zip(axes.T, views):
+        image = plot_image(column[0], measured.images[view], white)
+        plot_image(column[1], modelled.images[view], white)
+        difference = plot_difference(column[2], differences[view])
+        column[0].set_title(f"view {view}", fontsize="medium")
+    for panel, name in zip(axes[:, 0], ("measured", "modelled", "modelled - measured")):
+        # The axes are off: a text stands in for the label of y.
+        panel.text(-0.08, 0.5, name, rotation=90, va="center", ha="right", transform=panel.transAxes)
+    figure.colorbar(image, ax=axes[:2], label=RADIANCE_LABEL, extend="max")
+    figure.colorbar(difference, ax=axes[2], label="standard errors", extend="both")
+
+
+def plot_maps(figure: Figure, grid: Grid, recovered: np.ndarray, truth: np.ndarray | None = None) -> None:
+    """Optical depth from above, and the largest extinction along y and along x; recovered, and true if known."""
+    volumes = {"recovered": recovered} if truth is None else {"true": truth, "recovered": recovered}
+    reference = recovered if truth is None else truth
+    largest = max(float(reference.max() if truth is not None else np.quantile(recovered, 0.9995)), 1e-9)
+    deepest = max(float(reference.sum(axis=2, dtype=float).max()) * grid.spacing[2], 1e-9)
+    axes = figure.subplots(len(volumes), 3, squeeze=False)
+    for row, (name, volume) in zip(axes, volumes.items()):
+        depth = plot_optical_depth(row[0], grid, volume, deepest)
+        plot_maximum(row[1], grid, volume, 1, largest)
+        image = plot_maximum(row[2], grid, volume, 0, largest)
+        for panel, what in zip(row, ("optical depth", "largest along y", "largest along x")):
+            panel.set_title(f"{name}: {what}", fontsize="medium")
+    figure.colorbar(depth, ax=axes[:, 0], label="vertical optical depth", extend="max", location="left")
+    figure.colorbar(image, ax=axes[:, 2], label=EXTINCTION_LABEL, extend="max")
+
+
 def save_previews(folder: Path, measurements: Measurements) -> list[Path]:
     """One PNG for each view, pixel by pixel, on one grey scale from 0 to `radiance_limit`."""
     from matplotlib.image import imsave
@@ -251,20 +299,22 @@ def save_previews(folder: Path, measurements: Measurements) -> list[Path]:
     return paths
 
 
-def save_figures(
-    folder: Path,
+def run_figures(
     grid: Grid,
     recovered: np.ndarray,
     history: Mapping[str, np.ndarray],
     truth: np.ndarray | None = None,
     measurements: Measurements | None = None,
-) -> list[Path]:
-    """The figures of a run: slices.png, history.png, and scatter.png, images.png where known."""
+    modelled: Measurements | None = None,
+) -> dict[str, Figure]:
+    """The figures of a run by name: slices, maps, history, and scatter, images, comparison where known."""
     figures: dict[str, Figure] = {}
     rows = sum(grid.extent[2 if normal == 1 else 1] / grid.extent[0] for normal in (1, 1, 2))
     panels = 1 if truth is None else 2
     figures["slices"] = new_figure(1.5 + 3.2 * panels, min(max(1.5 + 3.0 * rows, 5), 14))
     plot_slices(figures["slices"], grid, recovered, truth)
+    figures["maps"] = new_figure(11, min(max(4.0 * panels * max(1.0, grid.extent[2] / grid.extent[0]), 4), 9))
+    plot_maps(figures["maps"], grid, recovered, truth)
     figures["history"] = new_figure(7, 4.5)
     plot_history(figures["history"].subplots(), history)
     if truth is not None:
@@ -275,9 +325,20 @@ def save_figures(
         rows = -(-len(measurements.views) // columns)
         figures["images"] = new_figure(2.5 * columns + 1.5, 2.7 * rows + 0.3)
         plot_images(figures["images"], measurements)
+    if measurements is not None and modelled is not None:
+        count = len(measurements.views)
+        views = np.unique(np.linspace(0, count - 1, min(count, _COMPARED_VIEWS)).round().astype(int))
+        figures["comparison"] = new_figure(1.6 * len(views) + 1.8, 5.4)
+        plot_comparison(figures["comparison"], measurements, modelled, [int(view) for view in views])
+    return figures
+
+
+def save_figures(folder: Path, figures: Mapping[str, Figure]) -> list[Path]:
+    """Every figure as NAME.png and NAME.pdf in a folder, which is made."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, figure in figures.items():
-        paths.append(folder / f"{name}.png")
-        figure.savefig(paths[-1], dpi=130)
+        for suffix in ("png", "pdf"):
+            paths.append(folder / f"{name}.{suffix}")
+            figure.savefig(paths[-1], dpi=130)
     return paths

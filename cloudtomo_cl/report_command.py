@@ -1,0 +1,102 @@
+"""`cloudtomo report`: the figures and the page of a run folder, from what the folder holds."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cloudtomo_cl.grid import Grid
+
+
+def report(folder: Path, quiet: bool) -> None:
+    """Makes figures/*.png, figures/*.pdf and report.html."""
+    from cloudtomo_cl.files import written_whole
+    from cloudtomo_cl.io import read_extinction_attributes, read_measurements
+    from cloudtomo_cl.plots import run_figures, save_figures
+    from cloudtomo_cl.provenance import source
+    from cloudtomo_cl.report import report_page
+    from cloudtomo_cl.runfolder import RunFolder
+
+    run = RunFolder(folder)
+    grid, extinction, _ = run.read_reconstruction()
+    settings, history = run.read_settings(), run.read_history()
+    files = settings.get("files", {})
+    measurements = truth = modelled = None
+    if "measurements" in files:
+        measurements = _if_there(folder / files["measurements"], read_measurements)
+    if "truth" in files:
+        truth = _if_there(folder / files["truth"], lambda path: read_truth(path, grid))
+    if run.modelled_file.is_file():
+        modelled = read_measurements(run.modelled_file)
+    figures = run_figures(grid, extinction, history, truth, measurements, modelled)
+    for path in save_figures(run.figures, figures):
+        if not quiet:
+            print(path)
+    attributes = read_extinction_attributes(run.reconstruction_file)
+    page = report_page(
+        f"Reconstruction {folder.resolve().name}",
+        f"{attributes.get('source', source())}, {attributes.get('state', 'complete')}",
+        _numbers(grid, extinction, truth, history, settings),
+        grid,
+        extinction,
+        figures,
+        settings,
+        truth,
+        measurements,
+        modelled,
+    )
+    with written_whole(run.report_file) as partial:
+        partial.write_text(page, encoding="utf-8")
+    if not quiet:
+        print(run.report_file)
+
+
+def _numbers(
+    grid: Grid, extinction: np.ndarray, truth: np.ndarray | None, history: dict[str, np.ndarray], settings: Any
+) -> dict[str, str]:
+    from cloudtomo_cl.metrics import delta, epsilon
+    from cloudtomo_cl.progress import duration
+
+    numbers = {}
+    if truth is not None:
+        numbers["error eps"] = f"{epsilon(extinction, truth):.3f}"
+        numbers["bias of the optical mass delta"] = f"{delta(extinction, truth):+.1%}"
+    depth = extinction.sum(axis=2, dtype=float) * grid.spacing[2]
+    numbers["optical mass"] = f"{extinction.sum(dtype=float) * grid.voxel_volume:.4g} km²"
+    numbers["largest optical depth"] = f"{depth.max():.3g}"
+    numbers["voxels"] = " × ".join(map(str, grid.shape))
+    if len(history["cost"]):
+        numbers["last cost"] = f"{history['cost'][-1]:.3g} ± {history['cost_standard_error'][-1]:.1g}"
+        numbers["iterations"] = str(len(history["cost"]))
+        numbers["photons"] = f"{history['photons'][-1]:.3g}"
+        numbers["time"] = duration(float(history["seconds"][-1]))
+    device = settings.get("device", {})
+    if "name" in device:
+        numbers["device"] = str(device["name"])
+    return numbers
+
+
+def read_truth(path: Path, grid: Grid) -> np.ndarray:
+    """A known cloud on the grid of a reconstruction. SettingsError if it lies on another grid."""
+    from cloudtomo_cl.errors import SettingsError
+    from cloudtomo_cl.io import read_extinction
+
+    grid_of_truth, truth = read_extinction(path)
+    same = grid_of_truth.shape == grid.shape and all(
+        np.allclose(getattr(grid_of_truth, name), getattr(grid, name), rtol=1e-5, atol=1e-6)
+        for name in ("spacing", "origin")
+    )
+    if not same:
+        raise SettingsError(f"truth.file: {path} lies on {grid_of_truth}, the reconstruction on {grid}: use one grid")
+    return truth
+
+
+def _if_there(path: Path, read: Any) -> Any:
+    """What a file holds; a run folder that was moved away from its inputs still gets its other figures."""
+    if path.is_file():
+        return read(path)
+    print(f"cloudtomo report: {path} is not there any more: figures that need it are left out", file=sys.stderr)
+    return None
