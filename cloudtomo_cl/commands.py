@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 import shlex
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
@@ -17,21 +16,27 @@ from rich.table import Table
 from cloudtomo_cl.cloud_command import cloud as cloud
 from cloudtomo_cl.device import Device, choose_device, list_devices
 from cloudtomo_cl.errors import DataError, DeviceError, Interrupted, SettingsError
-from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.init_command import init as init
 from cloudtomo_cl.io import check_output
 from cloudtomo_cl.measurements import Measurements
 from cloudtomo_cl.provenance import describe_device, source, versions
+from cloudtomo_cl.report_command import read_truth
+from cloudtomo_cl.report_command import report as report
 from cloudtomo_cl.scene import Scene
 from cloudtomo_cl.sensors import View
 from cloudtomo_cl.stages import automatic_stages
 from cloudtomo_cl.transport import RadianceOperator, Rendering
 from cloudtomo_cl.validate_command import validate as validate
 
+if TYPE_CHECKING:
+    from cloudtomo_cl.runfolder import RunFolder
+
 # Photons per pixel of the images without cloud that carving compares with. Without air only the
 # horizon makes them noisy.
 _CLEAR_SAMPLES, _CLEAR_SAMPLES_IN_AIR = 16, 256
 _WIDE_TABLE = 160
+# Paths of the images of the recovered cloud: some seconds on a CPU.
+_MODELLED_PATHS, _FEWEST_MODELLED_SAMPLES = 3e6, 16
 
 
 def devices() -> None:
@@ -145,7 +150,7 @@ def reconstruct(
         except DataError as error:
             raise SettingsError(f"{run}: view: the views do not fit {settings.measurements.file}: {error}") from None
     scene = settings.scene(stored.get("scene", {}))
-    truth = None if settings.truth is None else _read_truth(settings.truth.file, scene.grid)
+    truth = None if settings.truth is None else read_truth(settings.truth.file, scene.grid)
     _check_views(scene, measurements.views)
     chosen = choose_device(device)
     stages = settings.stage or automatic_stages(scene.grid)
@@ -180,7 +185,7 @@ def reconstruct(
         },
         before or None,
     )
-    again = _resume_command(run, given_seed, output, device)
+    again = _resume_command(run, given_seed, output, device, overrides)
     try:
         with (
             ReconstructionProgress(console, settings.run.time_limit) as show,
@@ -233,6 +238,7 @@ def reconstruct(
     if stop.signal_number is not None:
         status = exit_status(stop.signal_number)
         raise Interrupted(f"interrupted in {where}; what was reached is in {output}: {again}", status)
+    _write_modelled(folder, scene, measurements, result.extinction, chosen, seed, len(result.history) + 1)
     report(output, quiet=True)
     console.print(f"{last.photons:.3g} photons in {duration(last.seconds)} on {chosen.name}", soft_wrap=True)
     if truth is None:
@@ -247,13 +253,35 @@ def reconstruct(
     console.print(summary, highlight=False, soft_wrap=True)
 
 
-def _resume_command(run: Path, seed: int | None, output: Path, device: str | None) -> str:
+def _resume_command(
+    run: Path, seed: int | None, output: Path, device: str | None, overrides: Sequence[str]
+) -> str:
     """How to go on, as a line to copy."""
     words = ["cloudtomo", "reconstruct", str(run), "--output", str(output), "--resume"]
     for name, value in (("--seed", seed), ("--device", device)):
         if value is not None:
             words += [name, str(value)]
+    for override in overrides:
+        words += ["--set", override]
     return f"go on with\n  {shlex.join(words)}"
+
+
+def _write_modelled(
+    folder: RunFolder,
+    scene: Scene,
+    measurements: Measurements,
+    extinction: np.ndarray,
+    device: Device,
+    seed: int,
+    iteration: int,
+) -> None:
+    """What the recovered cloud looks like from the measured views, for the report to compare with."""
+    from cloudtomo_cl.io import write_measurements
+
+    operator = RadianceOperator(scene, measurements.views, device)
+    samples = max(_FEWEST_MODELLED_SAMPLES, 2 * round(_MODELLED_PATHS / len(operator.pixels) / 2))
+    modelled = _measurements(operator, operator.render(extinction, samples, seed, iteration))
+    write_measurements(folder.modelled_file, modelled, {"source": source(), "samples": samples, "seed": seed})
 
 
 def _carve(scene: Scene, measurements: Measurements, device: Device) -> np.ndarray:
@@ -298,47 +326,3 @@ def _read_measurements(path: Path) -> tuple[Measurements, dict[str, Any]]:
         return measurements, read_settings(path)
     except DataError:
         return measurements, {}
-
-
-def _read_truth(path: Path, grid: Grid) -> np.ndarray:
-    from cloudtomo_cl.io import read_extinction
-
-    grid_of_truth, truth = read_extinction(path)
-    same = grid_of_truth.shape == grid.shape and all(
-        np.allclose(getattr(grid_of_truth, name), getattr(grid, name), rtol=1e-5, atol=1e-6)
-        for name in ("spacing", "origin")
-    )
-    if not same:
-        raise SettingsError(f"truth.file: {path} lies on {grid_of_truth}, the reconstruction on {grid}: use one grid")
-    return truth
-
-
-def report(folder: Path, quiet: bool) -> None:
-    """Makes the figures of a run folder from what it holds."""
-    from cloudtomo_cl.plots import save_figures
-    from cloudtomo_cl.runfolder import RunFolder
-
-    run = RunFolder(folder)
-    grid, extinction, _ = run.read_reconstruction()
-    files = run.read_settings().get("files", {})
-    measurements = truth = None
-    if "measurements" in files:
-        measurements = _if_there(folder / files["measurements"], lambda path: _read_measurements(path)[0])
-    if "truth" in files:
-        truth = _if_there(folder / files["truth"], lambda path: _read_truth(path, grid))
-    history = run.read_history()
-    missing = {"stage", "seconds", "cost", "cost_standard_error", "epsilon"} - set(history)
-    if missing or not len(history["stage"]):
-        lacks = f"has no column {', '.join(sorted(missing))}" if missing else "has no iteration"
-        raise DataError(f"{run.history_file}: {lacks}: it is no history of a run")
-    for path in save_figures(run.figures, grid, extinction, history, truth, measurements):
-        if not quiet:
-            print(path)
-
-
-def _if_there(path: Path, read: Any) -> Any:
-    """What a file holds; a run folder that was moved away from its inputs still gets its other figures."""
-    if path.is_file():
-        return read(path)
-    print(f"cloudtomo report: {path} is not there any more: figures that need it are left out", file=sys.stderr)
-    return None

@@ -83,3 +83,12 @@ class Measurements:
                 for view in self.views
             ]
         )
+
+    def differences(self, modelled: Measurements) -> list[np.ndarray]:
+        """Modelled minus measured radiance in standard errors of both together; NaN where neither is known."""
+        differences = []
+        for index, image in enumerate(self.images):
+            error = np.hypot(self.standard_errors[index], modelled.standard_errors[index])
+            difference = modelled.images[index] - image
+            differences.append(np.divide(difference, error, out=np.full(image.shape, np.nan), where=error > 0))
+        return differences

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from cloudtomo_cl.errors import DataError, SettingsError
 from cloudtomo_cl.grid import Grid
 
 
 def report(folder: Path, quiet: bool) -> None:
     """Makes figures/*.png, figures/*.pdf and report.html."""
     from cloudtomo_cl.files import written_whole
-    from cloudtomo_cl.io import read_extinction_attributes, read_measurements
+    from cloudtomo_cl.io import load_dataset, read_measurements
     from cloudtomo_cl.plots import run_figures, save_figures
     from cloudtomo_cl.provenance import source
     from cloudtomo_cl.report import report_page
@@ -23,6 +24,10 @@ def report(folder: Path, quiet: bool) -> None:
     run = RunFolder(folder)
     grid, extinction, _ = run.read_reconstruction()
     settings, history = run.read_settings(), run.read_history()
+    missing = {"stage", "seconds", "photons", "cost", "cost_standard_error", "epsilon"} - set(history)
+    if missing or not len(history["stage"]):
+        lacks = f"has no column {', '.join(sorted(missing))}" if missing else "has no iteration"
+        raise DataError(f"{run.history_file}: {lacks}: it is no history of a run")
     files = settings.get("files", {})
     measurements = truth = modelled = None
     if "measurements" in files:
@@ -35,7 +40,7 @@ def report(folder: Path, quiet: bool) -> None:
     for path in save_figures(run.figures, figures):
         if not quiet:
             print(path)
-    attributes = read_extinction_attributes(run.reconstruction_file)
+    attributes = load_dataset(run.reconstruction_file).attrs
     page = report_page(
         f"Reconstruction {folder.resolve().name}",
         f"{attributes.get('source', source())}, {attributes.get('state', 'complete')}",
@@ -68,20 +73,18 @@ def _numbers(
     numbers["optical mass"] = f"{extinction.sum(dtype=float) * grid.voxel_volume:.4g} km²"
     numbers["largest optical depth"] = f"{depth.max():.3g}"
     numbers["voxels"] = " × ".join(map(str, grid.shape))
-    if len(history["cost"]):
-        numbers["last cost"] = f"{history['cost'][-1]:.3g} ± {history['cost_standard_error'][-1]:.1g}"
-        numbers["iterations"] = str(len(history["cost"]))
-        numbers["photons"] = f"{history['photons'][-1]:.3g}"
-        numbers["time"] = duration(float(history["seconds"][-1]))
-    device = settings.get("device", {})
-    if "name" in device:
+    numbers["last cost"] = f"{history['cost'][-1]:.3g} ± {history['cost_standard_error'][-1]:.1g}"
+    numbers["iterations"] = str(len(history["cost"]))
+    numbers["photons"] = f"{history['photons'][-1]:.3g}"
+    numbers["time"] = duration(float(history["seconds"][-1]))
+    device = settings.get("device")
+    if isinstance(device, dict) and "name" in device:
         numbers["device"] = str(device["name"])
     return numbers
 
 
 def read_truth(path: Path, grid: Grid) -> np.ndarray:
     """A known cloud on the grid of a reconstruction. SettingsError if it lies on another grid."""
-    from cloudtomo_cl.errors import SettingsError
     from cloudtomo_cl.io import read_extinction
 
     grid_of_truth, truth = read_extinction(path)

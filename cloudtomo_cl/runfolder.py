@@ -42,6 +42,8 @@ class RunFolder:
         self.history_file = self.path / "history.csv"
         self.checkpoint_file = self.path / "checkpoint.npz"
         self.reconstruction_file = self.path / "reconstruction.nc"
+        self.modelled_file = self.path / "modelled.nc"
+        self.report_file = self.path / "report.html"
         self.figures = self.path / "figures"
         self._history: TextIO | None = None
         self._settings: Mapping[str, Any] = {}
@@ -106,7 +108,8 @@ class RunFolder:
         # What a killed run was writing.
         stale = list(self.path.glob(".*.partial"))
         if self._before is None:
-            stale += [self.checkpoint_file, self.reconstruction_file, *self.figures.glob("*.png")]
+            stale += [self.checkpoint_file, self.reconstruction_file, self.modelled_file, self.report_file]
+            stale += [*self.figures.glob("*.png"), *self.figures.glob("*.pdf")]
         for file in stale:
             file.unlink(missing_ok=True)
         with written_whole(self.settings_file) as partial:

@@ -1,5 +1,7 @@
 """Figures: what lies where, looked up in the drawn pixels."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matplotlib.image import imread
@@ -10,9 +12,11 @@ from cloudtomo_cl.plots import (
     new_figure,
     plot_history,
     plot_images,
+    plot_optical_depth,
     plot_scatter,
     plot_slice,
     plot_slices,
+    run_figures,
     save_figures,
     save_previews,
 )
@@ -146,6 +150,24 @@ def test_previews_are_the_images_pixel_by_pixel(tmp_path, measurements):
 
 
 def test_figures_of_a_run_are_not_empty(tmp_path, extinction, history, measurements):
-    paths = save_figures(tmp_path, GRID, extinction, history, extinction, measurements)
-    assert [path.stem for path in paths] == ["slices", "history", "scatter", "images"]
-    assert all(np.unique(imread(path)[..., :3].reshape(-1, 3), axis=0).shape[0] > 20 for path in paths)
+    figures = run_figures(GRID, extinction, history, extinction, measurements, measurements)
+    assert list(figures) == ["slices", "maps", "history", "scatter", "images", "comparison"]
+    for path in save_figures(tmp_path, figures):
+        if path.suffix == ".png":
+            assert np.unique(imread(path)[..., :3].reshape(-1, 3), axis=0).shape[0] > 20
+        else:
+            assert path.read_bytes().startswith(b"%PDF")
+
+
+def test_optical_depth_has_north_up(extinction):
+    axes = new_figure(4, 4).subplots()
+    shown = plot_optical_depth(axes, GRID, extinction).get_array()
+    assert np.allclose(shown, extinction.sum(axis=2).T * GRID.spacing[2]) and axes.get_ylim()[0] < axes.get_ylim()[1]
+
+
+def test_a_difference_is_in_standard_errors_of_both(measurements):
+    errors = tuple(np.full(image.shape, 0.3) for image in measurements.images)
+    one = replace(measurements, standard_errors=errors)
+    images = tuple(image + 1.0 for image in measurements.images)
+    other = replace(one, images=images, standard_errors=tuple(error / 0.3 * 0.4 for error in errors))
+    assert all(np.allclose(difference, 2.0) for difference in one.differences(other))
