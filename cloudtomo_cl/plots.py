@@ -313,7 +313,8 @@ def run_figures(
     panels = 1 if truth is None else 2
     figures["slices"] = new_figure(1.5 + 3.2 * panels, min(max(1.5 + 3.0 * rows, 5), 14))
     plot_slices(figures["slices"], grid, recovered, truth)
-    figures["maps"] = new_figure(11, min(max(4.0 * panels * max(1.0, grid.extent[2] / grid.extent[0]), 4), 9))
+    tall = max(1.0, grid.extent[2] / grid.extent[0], grid.extent[1] / grid.extent[0])
+    figures["maps"] = new_figure(11, min(panels * (2.4 * tall + 0.8), 10))
     plot_maps(figures["maps"], grid, recovered, truth)
     figures["history"] = new_figure(7, 4.5)
     plot_history(figures["history"].subplots(), history)

@@ -23,7 +23,6 @@ _MOST_VOXELS = 500_000
 _COLOURS = 256
 _CAPTIONS = {
     "maps": "Optical depth from above, and the largest extinction along y and along x.",
-    "slices": "Layers of voxels: two vertical ones, and the one through the largest extinction.",
     "scatter": "Every voxel that holds cloud in one of the two; the line is perfect agreement.",
     "history": "The cost with its noise, and the error if the truth is known; dotted lines are the ends of stages.",
     "images": "The measured images, all on one grey scale.",
@@ -73,7 +72,7 @@ summary { cursor: pointer; }
 <div class="panels" id="panels"></div>
 <p class="note"><output id="value">Point at a voxel for its extinction.</output> $coarser</p>
 </div>
-<noscript><p>The slider needs JavaScript; the figures below do not.</p></noscript>
+<noscript><p>The slider needs JavaScript; figures/slices.png shows some layers without.</p></noscript>
 $figures
 $views
 <h2>Settings and device</h2>
@@ -179,7 +178,8 @@ def report_page(
     measurements, modelled : images, and those of the recovered cloud
     """
     shown, factor = _coarse_enough(grid)
-    drawn = "".join(_figure(name, figure) for name, figure in figures.items())
+    # Slices are there to slide through.
+    drawn = "".join(_figure(name, figure) for name, figure in figures.items() if name != "slices")
     return _PAGE.substitute(
         title=html.escape(title),
         source=html.escape(source),

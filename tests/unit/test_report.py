@@ -1,0 +1,69 @@
+"""The report's page holds all it shows, and nothing from elsewhere."""
+
+import base64
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.plots import new_figure
+from cloudtomo_cl.report import report_page
+from cloudtomo_cl.sensors import OrthographicView
+
+GRID = Grid((6, 5, 8), (0.1, 0.2, 0.3), (1.0, 2.0, 3.0))
+TRUTH = np.random.default_rng(1).uniform(-50, 90, GRID.shape).clip(0)
+
+
+def page(grid=GRID, truth=TRUTH, **more):
+    figure = new_figure(2, 2)
+    figure.subplots().plot([1, 2])
+    settings = {"key": "<script>alert(1)</script>"}
+    return report_page("a & b", "source", {"eps": "0.5"}, grid, truth * 0.8, {"maps": figure}, settings, truth, **more)
+
+
+def volumes(text):
+    return json.loads(re.search(r"^const cloud = (.*);$", text, flags=re.MULTILINE)[1])
+
+
+def test_nothing_is_loaded_from_elsewhere():
+    links = []
+
+    class Links(HTMLParser):
+        def handle_starttag(self, tag, attributes):
+            links.extend(value for name, value in attributes if name in ("src", "href"))
+
+    Links().feed(page())
+    assert links and all(link.startswith("data:") for link in links)
+
+
+def test_the_volumes_are_those_of_the_run():
+    cloud = volumes(page())
+    assert cloud["shape"] == [6, 5, 8] and cloud["spacing"] == [0.1, 0.2, 0.3] and cloud["origin"] == [1, 2, 3]
+    for volume, expected in zip(cloud["volumes"], (TRUTH, TRUTH * 0.8)):
+        values = np.frombuffer(base64.b64decode(volume["data"]), "<u2").reshape(GRID.shape) * cloud["step"]
+        assert np.allclose(values, expected, atol=TRUTH.max() / 2**16)
+    assert [volume["name"] for volume in cloud["volumes"]] == ["true", "recovered"]
+
+
+def test_large_volumes_are_shown_coarser():
+    grid = Grid((100, 100, 90), (0.1, 0.1, 0.1))
+    cloud = volumes(page(grid, np.ones(grid.shape)))
+    assert cloud["shape"] == [50, 50, 45] and cloud["spacing"] == pytest.approx([0.2, 0.2, 0.2])
+
+
+def test_text_is_not_markup():
+    text = page()
+    assert "a &amp; b" in text and "<script>alert" not in text
+
+
+def test_a_difference_of_two_standard_errors_is_told():
+    view = OrthographicView(zenith=10, width=1, pixels=(3, 2))
+    measured, modelled = (
+        Measurements((view,), (np.full((2, 3), mean),), (np.full((2, 3), error),))
+        for mean, error in ((1.0, 0.3), (2.0, 0.4))
+    )
+    assert "<td>0</td><td>1</td><td>2</td><td>100.0%</td><td>4</td>" in page(measurements=measured, modelled=modelled)
