@@ -342,4 +342,6 @@ def save_figures(folder: Path, figures: Mapping[str, Figure]) -> list[Path]:
         for suffix in ("png", "pdf"):
             paths.append(folder / f"{name}.{suffix}")
             figure.savefig(paths[-1], dpi=130)
+            # The layout, which takes most of the time, stays as it was drawn first.
+            figure.set_layout_engine("none")
     return paths

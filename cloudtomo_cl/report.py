@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import base64
 import html
-import io
 import json
 from collections.abc import Mapping
 from string import Template
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from cloudtomo_cl.grid import Grid, resample
 from cloudtomo_cl.measurements import Measurements
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # The page holds two bytes for every voxel shown, times 4/3: larger volumes are shown coarser.
 _MOST_VOXELS = 500_000
@@ -160,7 +156,7 @@ def report_page(
     numbers: Mapping[str, str],
     grid: Grid,
     recovered: np.ndarray,
-    figures: Mapping[str, Figure],
+    figures: Mapping[str, bytes],
     settings: Mapping[str, Any],
     truth: np.ndarray | None = None,
     measurements: Measurements | None = None,
@@ -173,13 +169,13 @@ def report_page(
     title, source : text at the top
     numbers : what counts, by name, with units
     grid, recovered, truth : extinction, km^-1
-    figures : drawn as PNG, in this order
+    figures : PNG files by name, shown in this order
     settings : types of JSON
     measurements, modelled : images, and those of the recovered cloud
     """
     shown, factor = _coarse_enough(grid)
     # Slices are there to slide through.
-    drawn = "".join(_figure(name, figure) for name, figure in figures.items() if name != "slices")
+    drawn = "".join(_figure(name, picture) for name, picture in figures.items() if name != "slices")
     return _PAGE.substitute(
         title=html.escape(title),
         source=html.escape(source),
@@ -195,14 +191,12 @@ def report_page(
     )
 
 
-def _figure(name: str, figure: Figure) -> str:
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=110)
-    text = base64.b64encode(picture.getvalue()).decode("ascii")
-    caption = _CAPTIONS.get(name, "")
+def _figure(name: str, picture: bytes) -> str:
+    text = base64.b64encode(picture).decode("ascii")
+    caption = html.escape(_CAPTIONS.get(name, ""))
     return (
-        f'<h2>{html.escape(name.capitalize())}</h2><figure><img alt="{html.escape(caption)}" '
-        f'src="data:image/png;base64,{text}"><figcaption>{html.escape(caption)}</figcaption></figure>\n'
+        f'<h2>{html.escape(name.capitalize())}</h2><figure><img alt="{caption}" '
+        f'src="data:image/png;base64,{text}"><figcaption>{caption}</figcaption></figure>\n'
     )
 
 

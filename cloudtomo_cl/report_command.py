@@ -37,9 +37,7 @@ def report(folder: Path, quiet: bool) -> None:
     if run.modelled_file.is_file():
         modelled = read_measurements(run.modelled_file)
     figures = run_figures(grid, extinction, history, truth, measurements, modelled)
-    for path in save_figures(run.figures, figures):
-        if not quiet:
-            print(path)
+    paths = save_figures(run.figures, figures)
     attributes = load_dataset(run.reconstruction_file).attrs
     page = report_page(
         f"Reconstruction {folder.resolve().name}",
@@ -47,7 +45,7 @@ def report(folder: Path, quiet: bool) -> None:
         _numbers(grid, extinction, truth, history, settings),
         grid,
         extinction,
-        figures,
+        {path.stem: path.read_bytes() for path in paths if path.suffix == ".png"},
         settings,
         truth,
         measurements,
@@ -56,7 +54,7 @@ def report(folder: Path, quiet: bool) -> None:
     with written_whole(run.report_file) as partial:
         partial.write_text(page, encoding="utf-8")
     if not quiet:
-        print(run.report_file)
+        print(*paths, run.report_file, sep="\n")
 
 
 def _numbers(
