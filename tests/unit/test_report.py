@@ -18,8 +18,8 @@ TRUTH = np.random.default_rng(1).uniform(-50, 90, GRID.shape).clip(0)
 
 
 def page(grid=GRID, truth=TRUTH, **more):
-    settings = {"key": "<script>alert(1)</script>"}
-    return report_page("a & b", "source", {"eps": "0.5"}, grid, truth * 0.8, {"maps": b"a picture"}, settings, truth, **more)
+    settings, figures = {"key": "<script>alert(1)</script>"}, {"maps": b"a picture"}
+    return report_page("a & b", "source", {"eps": "0.5"}, grid, truth * 0.8, figures, settings, truth, **more)
 
 
 def volumes(text):
