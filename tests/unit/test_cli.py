@@ -93,10 +93,7 @@ def test_help_waits_for_no_slow_import(module):
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
 
 
-<<<<<<< HEAD
 @pytest.mark.parametrize("command", ["devices", "cloud", "init", "render", "reconstruct", "report", "validate"])
-=======
-@pytest.mark.parametrize("command", ["devices", "cloud", "init", "render", "reconstruct", "report"])
 def test_help_of_every_command_has_an_example(command, capsys):
     with pytest.raises(SystemExit) as exit_:
         main([command, "--help"])
@@ -385,4 +382,3 @@ def test_the_views_of_init_see_the_whole_cloud(folder):
 
 def test_init_does_not_replace_a_file(folder, capsys):
     assert "--overwrite" in fails(capsys, "init", "render") and Path("scene.toml").read_text() == SCENE
->>>>>>> 673e7c5 (Tests of the report; figures' sizes)
