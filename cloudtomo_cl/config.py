@@ -40,6 +40,10 @@ else:
     import tomli as tomllib
 
 
+# More mistakes than this at once are one: of the whole file.
+_MOST_MISTAKES = 50
+
+
 def _beside_settings(path: Path, info: ValidationInfo) -> Path:
     """Relative paths start at the settings file's folder."""
     path = Path((info.context or {}).get("folder", "."), path)
@@ -248,7 +252,7 @@ def _text(file: str, lines: list[str]) -> str:
 def _lines(error: ValidationError, tables: dict[str, Any], schema: dict[str, Any]) -> list[str]:
     """One line for each key that is wrong: its name, what is wrong, what is allowed."""
     wrong: dict[str, list[Any]] = {}
-    for entry in error.errors():
+    for entry in error.errors()[:_MOST_MISTAKES]:
         wrong.setdefault(_dotted(entry["loc"], tables, entry["type"]), []).append(entry)
     lines = []
     for key, entries in wrong.items():

@@ -33,9 +33,9 @@ def rayleigh(cosine: float) -> float:
 
 def sample_henyey_greenstein(u: float, g: float) -> float:
     """The cosine below which a share u of the light is scattered."""
-    if g == 0:
-        return 2 * u - 1
-    return float(np.clip((1 + g * g - ((1 - g * g) / (1 - g + 2 * g * u)) ** 2) / (2 * g), -1, 1))
+    s = 2 * u - 1
+    # ((1 + g^2) - ((1 - g^2) / (1 + g s))^2) / (2 g), without its cancellation for small g.
+    return float(np.clip((s + g * g * s + g * (s * s * (1 + g * g) + 3 - g * g) / 2) / (1 + g * s) ** 2, -1, 1))
 
 
 def sample_rayleigh(u: float) -> float:

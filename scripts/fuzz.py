@@ -1,6 +1,6 @@
 """Feeds malformed settings and files to the command line, and checks how it answers.
 
-    python scripts/fuzz.py [--cases 2500] [--seed 0] [--seconds 20]
+    python scripts/fuzz.py [--cases 2500] [--seed 0] [--seconds 120]
 
 Every case starts from a tiny scene that works and spoils one of its files: settings (types,
 keys, numbers, text), clouds, images, checkpoints, run folders (bytes, variables, dimensions,
@@ -453,7 +453,7 @@ def main() -> int:
     parser.add_argument("--cases", type=int, default=2500)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=20.0, help="a case that takes longer hangs")
+    parser.add_argument("--seconds", type=float, default=120.0, help="a case that takes longer hangs")
     parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()

@@ -284,3 +284,8 @@ def test_settings_classes_refuse_unknown_arguments(table):
     with pytest.raises(ValidationError) as error:
         TypeAdapter(table).validate_python({"zenit": 1})
     assert ("zenit",) in [entry["loc"] for entry in error.value.errors()]
+
+
+def test_a_thousand_mistakes_are_answered_briefly(folder):
+    stages = "stage = [" + ",".join(["{grid = [2, 2, 2], grit = 1}"] * 2000) + "]\n"
+    assert 20 < len(run_error(folder, stages + RUN).splitlines()) <= 60

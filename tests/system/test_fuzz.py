@@ -1,0 +1,27 @@
+"""A hundred of the malformed inputs of scripts/fuzz.py."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+from cloudtomo_cl import commands
+
+SCRIPT = Path(__file__).parents[2] / "scripts" / "fuzz.py"
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch):
+    spec = importlib.util.spec_from_file_location("fuzz", SCRIPT)
+    fuzz = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(fuzz)
+    # What the bench puts in their place is taken back afterwards.
+    for name in ("choose_device", "report"):
+        monkeypatch.setattr(commands, name, getattr(commands, name))
+    return fuzz.Bench(tmp_path)
+
+
+def test_malformed_inputs_get_a_message_and_leave_nothing(bench):
+    results = [bench.run(7, number) for number in range(100)]
+    assert not [result for result in results if result["wrong"]]
+    assert {0, 2} == {result["status"] for result in results}
