@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -78,6 +79,17 @@ class Audit:
                 f"{self.lost:.2%} of the weight was lost in horizontal flight: with periodic sides, tilt the views "
                 "that look along the horizon"
             )
+
+
+def combined(audits: Sequence[Audit]) -> Audit:
+    """The audit of several runs of paths together."""
+    launched = sum(audit.launched for audit in audits)
+    values = {
+        field.name: sum(getattr(audit, field.name) * audit.launched for audit in audits) / launched
+        for field in fields(Audit)
+    }
+    error = sum((audit.killed_standard_error * audit.launched) ** 2 for audit in audits) ** 0.5 / launched
+    return Audit(**values | {"launched": launched, "killed_standard_error": error})
 
 
 _ADVICE = "the device computes wrongly; try another (cloudtomo devices), and please report this with its output"

@@ -136,7 +136,7 @@ class FluxOperator:
 
         if photons < 1:
             raise DataError(f"photons is {photons}: it must be at least 1")
-        beta = self._medium.extinction(extinction)
+        field = self._medium.field(extinction, skips_clear=True)
         samples = -(-photons // (_BATCHES * self._pixels))  # per pixel of the sun and batch
         shape = (len(FLUXES), *self.scene.grid.shape[:2])
         account = Account(self.device)
@@ -149,9 +149,9 @@ class FluxOperator:
                 self._pace.launch(
                     self._trace_photons,
                     number * self._pixels,
-                    self._medium.struct,
+                    field.struct,
                     self._sun_view,
-                    *self._medium.arguments(beta),
+                    *field.arguments,
                     np.uint32(self._pixels),
                     np.uint32(batch * samples + done),
                     np.uint32(number * self._pixels),

@@ -228,7 +228,7 @@ class _Run:
         mask = coarsened(self.mask, stage.grid)
         scene = replace(self.scene, grid=self.scene.grid.with_shape(stage.grid))
         seen = _seen_pixels(measurements.at_share(stage.pixels), scene.grid, mask)
-        operator = RadianceOperator(scene, seen.views, device, seen.pixels)
+        operator = RadianceOperator(scene, seen.views, device, seen.pixels, mask=mask)
         samples = stage.samples or max(2, 2 * round(_PATHS_PER_ITERATION / len(seen.pixels) / 2))
         residual = LaggedResidual(seen.radiance, relative_weights(seen.radiance), optimizer.image_memory)
         prior_operator = PriorOperator(prior, stage.grid, device)

@@ -33,6 +33,7 @@ STRUCTS: dict[str, np.dtype] = {
             ("surface_albedo", np.float32),
             ("side_flights", np.int32),  # 0: the plain local estimate
             ("truncation", np.float32),  # largest local estimate, sr^-1
+            ("skips_clear", np.int32),  # whether walks skip voxels that hold nothing
         ]
     ),
     "View": np.dtype(
@@ -91,7 +92,9 @@ def declarations(device: Any) -> str:
     return "\n".join(parts)
 
 
-def scene_struct(scene: Scene, side_flights: bool = False, truncation: float = np.inf) -> np.ndarray:
+def scene_struct(
+    scene: Scene, side_flights: bool = False, truncation: float = np.inf, skips_clear: bool = False
+) -> np.ndarray:
     """The kernels' Scene, shape (); truncation in sr^-1."""
     struct = np.zeros((), STRUCTS["Scene"])
     struct["shape"] = scene.grid.shape
@@ -116,6 +119,7 @@ def scene_struct(scene: Scene, side_flights: bool = False, truncation: float = n
     struct["surface_albedo"] = scene.surface.albedo
     struct["side_flights"] = side_flights
     struct["truncation"] = truncation
+    struct["skips_clear"] = skips_clear
     return struct
 
 

@@ -2,15 +2,41 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import distance_transform_cdt
 
 from cloudtomo_cl.device import Device
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.layout import scene_struct
 from cloudtomo_cl.phase import TabulatedPhaseFunction
 from cloudtomo_cl.scene import Scene
+
+# Copies of a periodic domain that are looked at beside it, in voxels; the most a walk skips.
+_PERIODIC_MARGIN = 32
+_LARGEST_SKIP = 255
+
+
+@dataclass(frozen=True)
+class Field:
+    """An extinction on the device, and what walks through it take along.
+
+    Attributes
+    ----------
+    struct : the kernels' Scene
+    extinction : km^-1, array on the device
+    """
+
+    struct: Any
+    extinction: Any
+    _buffers: tuple[Any, ...]
+
+    @property
+    def arguments(self) -> tuple[Any, ...]:
+        """What every kernel that walks paths takes of the medium, beside the Scene."""
+        return self.extinction.data, *self._buffers
 
 
 class Medium:
@@ -24,10 +50,12 @@ class Medium:
         several radii; by default the scene's one. Where it is 0 or NaN there are no droplets
     side_flights : whether paths send flights towards the sun
     truncation : the largest local estimate, sr^-1
+    mask : bool, shape of the grid; where it is False every extinction is to be 0, and walks skip
 
     Raises
     ------
-    DataError : effective_radius is missing, of another shape, or outside of the phase table
+    DataError : effective_radius is missing, of another shape, or outside of the phase table; mask of
+        another shape
     """
 
     def __init__(
@@ -37,15 +65,25 @@ class Medium:
         effective_radius: np.ndarray | None = None,
         side_flights: bool = False,
         truncation: float = np.inf,
+        mask: np.ndarray | None = None,
     ) -> None:
         import pyopencl.array
 
+        if mask is not None and mask.shape != scene.grid.shape:
+            raise DataError(f"mask has shape {mask.shape}, the grid {scene.grid.shape}")
         self.scene = scene
         self.device = device
+        self.mask = mask
         self._array = pyopencl.array
-        self.struct = device.constant(scene_struct(scene, side_flights, truncation))
+        # Molecules are everywhere: nothing can be skipped.
+        self._has_air = scene.air is not None and bool(np.any(scene.air.profile(scene.grid)))
+        self._structs = {
+            skips: device.constant(scene_struct(scene, side_flights, truncation, skips)) for skips in (False, True)
+        }
         self._profiles = device.constant(profiles(scene))
         self._table_row = device.constant(table_rows(scene, effective_radius))
+        self._nothing_clear = device.constant(np.zeros(1, np.uint8))
+        self._clear_by_mask = None if mask is None or self._has_air else self._clear(mask)
         self.features = tuple(
             feature
             for feature, wanted in (
@@ -55,24 +93,60 @@ class Medium:
             if wanted
         )
 
-    def extinction(self, extinction: Any) -> Any:
-        """An extinction (km^-1, shape of the grid; NumPy or on the device) as an array on the device.
+    def _clear(self, occupied: np.ndarray) -> Any:
+        return self.device.constant(clear_distances(occupied, self.scene.boundary.horizontal == "periodic"))
+
+    def field(self, extinction: Any, skips_clear: bool) -> Field:
+        """Puts an extinction on the device.
+
+        Parameters
+        ----------
+        extinction : km^-1, shape of the grid; NumPy, or an array on the device, which is not looked into
+        skips_clear : whether walks may skip the voxels of a NumPy extinction that are 0, where there is no mask
 
         Raises
         ------
-        DataError : another shape, a value that is negative or not finite
+        DataError : another shape, a value that is negative or not finite, or above 0 outside of the mask
         """
         if tuple(extinction.shape) != self.scene.grid.shape:
             raise DataError(f"extinction has shape {tuple(extinction.shape)}, the grid {self.scene.grid.shape}")
+        clear = self._clear_by_mask
         if isinstance(extinction, self._array.Array):
-            return extinction
-        values = np.ascontiguousarray(extinction, np.float32)
-        check_extinction(values)
-        return self._array.to_device(self.device.queue, values)
+            beta = extinction
+        else:
+            values = np.ascontiguousarray(extinction, np.float32)
+            check_extinction(values)
+            if self.mask is not None and values[~self.mask].any():
+                raise DataError("extinction is above 0 outside of the mask: set it to 0 there, or widen the mask")
+            beta = self._array.to_device(self.device.queue, values)
+            if clear is None and skips_clear and not self._has_air:
+                clear = self._clear(values > 0)
+        return Field(
+            self._structs[clear is not None],
+            beta,
+            (self._table_row, self._nothing_clear if clear is None else clear, self._profiles),
+        )
 
-    def arguments(self, extinction: Any) -> tuple[Any, ...]:
-        """What every kernel that walks paths takes of the medium."""
-        return extinction.data, self._table_row, self._profiles
+
+def clear_distances(occupied: np.ndarray, periodic: bool) -> np.ndarray:
+    """How far from every voxel the nearest occupied one is, in voxels along the axis where it is most.
+
+    Parameters
+    ----------
+    occupied : bool, shape of the grid
+    periodic : whether the domain is repeated horizontally
+
+    Returns uint8, shape of the grid: 0 where occupied, 1 beside it, at most 255.
+    """
+    if not occupied.any():
+        return np.full(occupied.shape, _LARGEST_SKIP, np.uint8)
+    if not periodic:
+        return np.minimum(distance_transform_cdt(~occupied), _LARGEST_SKIP).astype(np.uint8)
+    margin = _PERIODIC_MARGIN
+    padded = np.pad(occupied, ((margin, margin), (margin, margin), (0, 0)), mode="wrap")
+    distances = distance_transform_cdt(~padded)[margin:-margin, margin:-margin]
+    # Beyond the margin nothing is known, and a walk wraps round the domain once at most.
+    return np.clip(distances, 0, min(margin, *occupied.shape[:2])).astype(np.uint8)
 
 
 def check_extinction(values: np.ndarray) -> None:

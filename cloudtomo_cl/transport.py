@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -12,7 +13,7 @@ from cloudtomo_cl.audit import Account, Audit
 from cloudtomo_cl.device import Device, Pace, choose_device, device_errors
 from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.layout import STRUCTS, ray_array, view_structs
-from cloudtomo_cl.medium import Medium
+from cloudtomo_cl.medium import Field, Medium
 from cloudtomo_cl.memory import require_rendering
 from cloudtomo_cl.scene import Scene
 from cloudtomo_cl.sensors import View
@@ -23,8 +24,6 @@ Estimator = Literal["side-flights", "plain"]
 # far below the deposits that matter (about 1e-6), and a voxel's sum of them over all paths of a
 # gradient may reach 2^31 before it overflows.
 _FIXED_POINT_SCALE = 2.0**32
-# Samples after which a target of the error is first looked at.
-_FIRST_SAMPLES = 32
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,7 @@ class Rendering:
     mean : W m^-2 sr^-1, shape (pixels,)
     standard_error : of the mean, same unit and shape
     halves : means over even and over odd samples, shape (pixels, 2)
-    samples : paths per pixel
+    samples : paths per pixel; an array (pixels,) if they differ (`adaptive.render_to_error`)
     seed, iteration : what the paths were drawn with
     audit : what became of the paths
     """
@@ -44,11 +43,11 @@ class Rendering:
     mean: np.ndarray
     standard_error: np.ndarray
     halves: np.ndarray
-    samples: int
+    samples: Any
     seed: int
     iteration: int
     audit: Audit
-    _extinction: Any = field(repr=False)
+    _medium: Field = field(repr=False)
     _launches: list[tuple[int, Any]] = field(repr=False, default_factory=list)
 
 
@@ -71,6 +70,9 @@ class RadianceOperator:
     truncation : cuts single local estimates to so many sr^-1. That removes rare bright points and
         makes the images too dark; `Rendering.audit.truncated` says by how much. By default nothing
 
+    mask : bool, shape of the grid, where there may be droplets. Elsewhere every extinction must be 0
+        and gradients mean nothing, for walks skip what is clear; by default everywhere
+
     Source: the supplement's Eqs. 1-19; docs/estimators.md.
 
     Raises
@@ -89,6 +91,7 @@ class RadianceOperator:
         *,
         effective_radius: np.ndarray | None = None,
         truncation: float | None = None,
+        mask: np.ndarray | None = None,
     ) -> None:
         import pyopencl as cl
         import pyopencl.array
@@ -109,7 +112,7 @@ class RadianceOperator:
         self._cl = cl
         self._array = pyopencl.array
         self._medium = Medium(
-            scene, self.device, effective_radius, self.estimator == "side-flights", truncation or np.inf
+            scene, self.device, effective_radius, self.estimator == "side-flights", truncation or np.inf, mask
         )
         # Views from afar look through all of the atmosphere.
         self._views = self.device.constant(view_structs(self.views, scene.grid, scene.top))
@@ -129,18 +132,18 @@ class RadianceOperator:
         iteration: int = 0,
         keep_paths: bool = False,
         progress: Callable[[int], None] | None = None,
-        target_error: float | None = None,
+        first_sample: int = 0,
     ) -> Rendering:
         """Radiance of every pixel.
 
         Parameters
         ----------
         extinction : of the droplets, km^-1, shape of the grid; NumPy, or an array on the device
-        samples : paths per pixel, even; with a target, the most
+        samples : paths per pixel, even
         seed, iteration : together with view, pixel and sample these determine every path
         keep_paths : keep what `gradient` needs (4 bytes per path on the device)
         progress : called with the number of samples done so far
-        target_error : ends earlier, as soon as no view's `relative_error` is larger
+        first_sample : number of the first path of every pixel, even
 
         Raises
         ------
@@ -150,23 +153,23 @@ class RadianceOperator:
         """
         if samples < 2 or samples % 2:
             raise DataError(f"samples is {samples}: it must be even and at least 2 (halves are compared)")
-        if target_error is not None and not target_error > 0:
-            raise DataError(f"target_error is {target_error}: it must be above 0, for instance 0.01 for 1 %")
+        if first_sample < 0 or first_sample % 2:
+            raise DataError(f"first_sample is {first_sample}: it must be even and at least 0")
         queue, count = self.device.queue, len(self.pixels)
-        beta = self._medium.extinction(extinction)
+        medium = self._medium.field(extinction, skips_clear=not keep_paths)
         size = count * STRUCTS["PixelSums"].itemsize
         sums = self._cl.Buffer(self.device.context, self._cl.mem_flags.READ_WRITE, size)
         self._cl.enqueue_fill_buffer(queue, sums, np.uint8(0), 0, sums.size)
         account = Account(self.device)
         launches: list[tuple[int, Any]] = []
-        first, goal = 0, samples if target_error is None else min(_FIRST_SAMPLES, samples)
-        while True:
-            number = int(np.clip(self._pace.work_items // count, 1, goal - first))
+        done = 0
+        while done < samples:
+            first, number = first_sample + done, int(np.clip(self._pace.work_items // count, 1, samples - done))
             paths = self._array.empty(queue, number * count, np.float32)
             self._pace.launch(
                 self._render_paths,
                 number * count,
-                *self._arguments(beta, first, number * count, seed, iteration),
+                *self._arguments(medium, first, number * count, seed, iteration),
                 paths.data,
                 account.data,
             )
@@ -175,38 +178,25 @@ class RadianceOperator:
             )
             if keep_paths:
                 launches.append((first, paths))
-            first += number
+            done += number
             if progress:
-                progress(first)
-            if first < goal:
-                continue
-            rendering = self._rendering(sums, first, seed, iteration, account, beta, launches)
-            if target_error is None or first == samples:
-                return rendering
-            missing = self.relative_error(rendering).max() / target_error
-            if missing <= 1:
-                return rendering
-            # Noise falls with the root of the samples; a tenth more, for it is itself noisy.
-            goal = min(samples, 2 * int(np.ceil(first * min(1.1 * missing**2, 8.0) / 2)))
+                progress(done)
+        return self._rendering(sums, samples, seed, iteration, account, medium, launches)
 
-    def relative_error(self, rendering: Rendering) -> np.ndarray:
-        """Each view's noise: the root mean square of its pixels' standard errors over their mean radiance.
+    def of_pixels(self, pixels: np.ndarray) -> RadianceOperator:
+        """The same operator for other pixels; see the class."""
+        other = copy.copy(self)
+        other.pixels = np.ascontiguousarray(pixels, np.uint32)
+        other._pixels = self.device.constant(other.pixels)
+        return other
 
-        Returns an array (views,); 0 for a view that is dark, and for one without pixels.
-        """
-        view = self.pixels[:, 0]
-        counts = np.maximum(np.bincount(view, minlength=len(self.views)), 1)
-        variance = np.bincount(view, rendering.standard_error**2, len(self.views)) / counts
-        mean = np.bincount(view, rendering.mean, len(self.views)) / counts
-        return np.sqrt(variance) / np.where(mean > 0, mean, 1.0)
-
-    def _arguments(self, beta: Any, first: int, paths: int, seed: int, iteration: int) -> tuple[Any, ...]:
+    def _arguments(self, medium: Field, first: int, paths: int, seed: int, iteration: int) -> tuple[Any, ...]:
         return (
-            self._medium.struct,
+            medium.struct,
             self._views,
             self._rays,
             self._pixels,
-            *self._medium.arguments(beta),
+            *medium.arguments,
             np.uint32(len(self.pixels)),
             np.uint32(first),
             np.uint32(paths),
@@ -221,7 +211,7 @@ class RadianceOperator:
         seed: int,
         iteration: int,
         account: Account,
-        beta: Any,
+        medium: Field,
         launches: list[tuple[int, Any]],
     ) -> Rendering:
         host = np.empty(len(self.pixels), STRUCTS["PixelSums"])
@@ -239,7 +229,7 @@ class RadianceOperator:
             )
         audit = account.audit(float(mean.sum()) / irradiance * samples)
         audit.check(samples * len(self.pixels))
-        return Rendering(mean, standard_error, halves, samples, seed, iteration, audit, beta, launches)
+        return Rendering(mean, standard_error, halves, samples, seed, iteration, audit, medium, launches)
 
     @device_errors("the gradient")
     def gradient(self, rendering: Rendering, adjoint: np.ndarray) -> Any:
@@ -273,7 +263,7 @@ class RadianceOperator:
             factors = self.device.constant((adjoint * (_FIXED_POINT_SCALE / largest)).astype(np.float32))
             for first, paths in rendering._launches:
                 arguments = self._arguments(
-                    rendering._extinction, first, paths.size, rendering.seed, rendering.iteration
+                    rendering._medium, first, paths.size, rendering.seed, rendering.iteration
                 )
                 self._pace.launch(self._replay_paths, paths.size, *arguments, paths.data, factors, total.data)
         scale = largest / _FIXED_POINT_SCALE * self.scene.sun.irradiance / (rendering.samples // 2)

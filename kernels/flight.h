@@ -109,8 +109,14 @@ inline Flight fly(const Medium *medium, Ray *ray, float reach, float carried, Re
         }
         DEPOSIT_CROSSING(walk.index, length, carried);
         flight.depth = depth;
-        if (!walk_advance(scene, &walk, exit)) {
-            ray->position += exit * ray->direction / grid_spacing(scene);
+        bool goes_on;
+        const int clear = extinction == 0.0f && scene->skips_clear ? medium->clear[walk.index] : 0;
+        if (clear > 1)
+            goes_on = walk_skip(scene, &walk, clear);
+        else
+            goes_on = walk_advance(scene, &walk, exit);
+        if (!goes_on) {
+            ray->position += walk.distance * ray->direction / grid_spacing(scene);
             ray->inside = false;
             flight.through_side = (uint)walk.voxel.z < (uint)scene->shape[2];
 #ifdef CLOUDTOMO_ATMOSPHERE

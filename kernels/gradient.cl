@@ -7,7 +7,7 @@ __kernel void replay_paths(__constant Scene *scene, const __global View *views,
                            const __global float *rays,
                            const __global uint2 *pixels,
                            const __global float *extinction, const __global float *table_row,
-                           const __global float *profiles,
+                           const __global uchar *clear, const __global float *profiles,
                            const uint pixel_count, const uint first_sample, const uint path_count,
                            const uint seed, const uint iteration,
                            const __global float *path_radiance, /* from render_paths, sr^-1 */
@@ -29,6 +29,6 @@ __kernel void replay_paths(__constant Scene *scene, const __global View *views,
         return;
     const uint2 pixel = pixels[pixel_in_list];
     const SampleKey key = {seed, iteration, pixel.y, pixel.x, sample};
-    const Medium medium = make_medium(scene, extinction, table_row, profiles);
+    const Medium medium = make_medium(scene, extinction, table_row, clear, profiles);
     trace_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &record);
 }

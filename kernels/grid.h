@@ -150,6 +150,34 @@ inline bool walk_advance(const __constant Scene *scene, VoxelWalk *walk, float e
     return true;
 }
 
+/* From a voxel with nothing within `clear` voxels of it (itself included, along every axis) to where
+ * the ray leaves that cube, or the domain: false then. */
+inline bool walk_skip(const __constant Scene *scene, VoxelWalk *walk, int clear)
+{
+    const float3 beyond = walk->next + (float)(clear - 1) * walk->per_voxel;
+    const int3 ahead = select(walk->voxel, grid_shape(scene) - 1 - walk->voxel, walk->step > 0);
+    float3 leave = walk->next + convert_float3(ahead) * walk->per_voxel;
+    if (scene->periodic)
+        leave.xy = (float2)(INFINITY);
+    const float leave_first = fmin(leave.z, fmin(leave.x, leave.y));
+    const float exit = fmin(fmin(beyond.z, fmin(beyond.x, beyond.y)), leave_first);
+    walk->distance = exit;
+    if (exit >= leave_first) {
+        if (leave.z <= exit)
+            walk->voxel.z = walk->step.z > 0 ? scene->shape[2] : -1;
+        return false;
+    }
+    const int3 crossed = select((int3)(0), convert_int3((exit - walk->next) / walk->per_voxel) + 1, walk->next <= exit);
+    walk->next += select((float3)(0.0f), convert_float3(crossed) * walk->per_voxel, crossed > 0);
+    walk->voxel += crossed * walk->step;
+    if (scene->periodic) {
+        walk->voxel.x = (walk->voxel.x + scene->shape[0]) % scene->shape[0];
+        walk->voxel.y = (walk->voxel.y + scene->shape[1]) % scene->shape[1];
+    }
+    walk->index = voxel_index(scene, walk->voxel);
+    return true;
+}
+
 /* Moves the ray to `distance` km along itself, a point of the walk's current voxel. */
 inline void move_to_walk(const __constant Scene *scene, Ray *ray, const VoxelWalk *walk, float distance)
 {

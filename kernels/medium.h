@@ -9,6 +9,7 @@ typedef struct {
     const __constant Scene *scene;
     const __global float *extinction; /* droplets, km^-1, [x][y][z] */
     const __global float *table_row;  /* per voxel, a row of the phase table or between two */
+    const __global uchar *clear;      /* per voxel: how many voxels around hold nothing, see walk_skip */
     const __global float *air;        /* molecules in the grid's layers, km^-1, [z] */
     const __global float *level;      /* faces of all layers of air, km above the grid's lowest, [layer] */
     const __global float *layer;      /* molecules in all layers of air, km^-1 */
@@ -19,12 +20,14 @@ typedef struct {
 /* `profiles` holds, one after the other: the layers' faces and extinctions, and the phase table's
  * nodes, densities, cumulative shares and albedos. */
 inline Medium make_medium(const __constant Scene *scene, const __global float *extinction,
-                          const __global float *table_row, const __global float *profiles)
+                          const __global float *table_row, const __global uchar *clear,
+                          const __global float *profiles)
 {
     Medium medium;
     medium.scene = scene;
     medium.extinction = extinction;
     medium.table_row = table_row;
+    medium.clear = clear;
     medium.level = profiles;
     medium.layer = medium.level + scene->air_layers + 1;
     medium.air = medium.layer + scene->air_layers_below;

@@ -6,7 +6,7 @@ __kernel void render_paths(__constant Scene *scene, const __global View *views,
                            const __global float *rays,   /* of the views that are lists of rays */
                            const __global uint2 *pixels, /* (view, pixel) to render */
                            const __global float *extinction, const __global float *table_row,
-                           const __global float *profiles,
+                           const __global uchar *clear, const __global float *profiles,
                            const uint pixel_count, const uint first_sample, const uint path_count,
                            const uint seed, const uint iteration,
                            __global float *path_radiance, /* sr^-1 */
@@ -17,7 +17,7 @@ __kernel void render_paths(__constant Scene *scene, const __global View *views,
         return;
     const uint2 pixel = pixels[path % pixel_count];
     const SampleKey key = {seed, iteration, pixel.y, pixel.x, first_sample + (uint)(path / pixel_count)};
-    const Medium medium = make_medium(scene, extinction, table_row, profiles);
+    const Medium medium = make_medium(scene, extinction, table_row, clear, profiles);
     Record record;
     record_begin(&record);
     record.account = account;

@@ -44,7 +44,7 @@ __kernel void probe_scatter(const uint count, __constant Scene *scene, const __g
 {
     PROBE(count);
     const float3 before = vload3(i, from);
-    const Medium medium = make_medium(scene, 0, 0, profiles);
+    const Medium medium = make_medium(scene, 0, 0, 0, profiles);
     const float3 after = sample_scatter(&medium, particle, before, vload2(i, u));
     vstore4((float4)(after, scatter_density(&medium, particle, before, after)), i, result);
 }
@@ -90,7 +90,7 @@ __kernel void probe_fly(const uint count, __constant Scene *scene, const __globa
                         const __global float *reach, __global float *result)
 {
     PROBE(count);
-    const Medium medium = make_medium(scene, extinction, 0, profiles);
+    const Medium medium = make_medium(scene, extinction, 0, 0, profiles);
     Record record;
     record_begin(&record);
     Ray ray = probe_ray(position, direction, i);
