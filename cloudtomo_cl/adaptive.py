@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import uniform_filter
 
 from cloudtomo_cl.audit import combined
 from cloudtomo_cl.errors import DataError
@@ -102,6 +101,8 @@ def render_to_error(
 
 def _noise(operator: RadianceOperator, pilot: Rendering) -> np.ndarray:
     """Standard deviation of a path by pixel, smoothed over 3 x 3 pixels, shape (pixels,)."""
+    from scipy.ndimage import uniform_filter
+
     variance = pilot.standard_error**2 * pilot.samples
     smooth = np.empty_like(variance)
     for index, image in enumerate(operator.images(variance)):

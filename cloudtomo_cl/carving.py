@@ -14,6 +14,7 @@ import numpy as np
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import Grid, resample
 from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.scene import Scene
 from cloudtomo_cl.sensors import AffineView, RayView, View, clip_to_box
 
 # Corners of voxels that are projected at once: some 100 MB of temporary arrays.
@@ -279,3 +280,17 @@ def coarsened(mask: np.ndarray, shape: Sequence[int]) -> np.ndarray:
     """
     # Edges that coincide up to rounding are no overlap.
     return resample(mask, shape) > 1e-9
+
+
+def check_views(scene: Scene, views: Sequence[View]) -> None:
+    """Raises DataError for a view that can see nothing: all of its pixels look past cloud, air and ground."""
+    if scene.surface.albedo > 0 or scene.air is not None or scene.boundary.horizontal == "periodic":
+        return
+    for index, view in enumerate(views):
+        if not pixels_that_meet(view, scene.grid).any():
+            lower, upper = scene.grid.origin, np.add(scene.grid.origin, scene.grid.extent)
+            box = ", ".join(f"{axis} {a:g} to {b:g}" for axis, a, b in zip("xyz", lower, upper))
+            raise DataError(
+                f"view {index} looks past the domain ({box} km) with every pixel: check its position, target, zenith "
+                "and azimuth, and their units (km, degrees)"
+            )

@@ -61,6 +61,19 @@ scene.toml:
 other types of view: "push-broom", "radiometer", "rays" (a file); "ring", "string", "scans" (several
 views each). optional tables: [air], [surface] albedo, [boundary] horizontal = "open" or "periodic"."""
 
+FLUX = """\
+Compute the fluxes of a scene by following photons from the sun.
+
+Prints the domain's means; the output is netCDF with, for every column: reflected (upward through
+the top), direct and diffuse (downward through the bottom), absorbed, and their standard errors."""
+
+FLUX_EXAMPLES = """\
+example:
+  cloudtomo flux scene.toml --photons 1e7 --seed 1 --output fluxes.nc
+
+scene.toml is that of `cloudtomo render`; views may be absent. Sides must be periodic if there is a
+surface that reflects, or air outside of the cloud's grid."""
+
 RECONSTRUCT = """\
 Recover the extinction from images, coarse to fine.
 
@@ -140,10 +153,25 @@ def parser() -> argparse.ArgumentParser:
 
     render = add("render", "compute images of a scene", RENDER, RENDER_EXAMPLES, device, quiet, overwrite, changes)
     render.add_argument("scene", type=Path, metavar="SCENE.toml")
-    render.add_argument("--samples", type=int, default=256, help="photons per pixel, even (default 256)")
+    render.add_argument(
+        "--samples", type=int, help="photons per pixel, even (default 256); with --target-error the most, on average"
+    )
+    render.add_argument(
+        "--target-error",
+        type=_share,
+        metavar="SHARE",
+        help="instead of a number of photons: render until the pixels' noise (root mean square, relative to the mean "
+        "of the view) is so small in every view, for instance 1%%",
+    )
     render.add_argument("--seed", type=_seed, default=0, help="of the random numbers (default 0)")
     render.add_argument("--output", type=Path, required=True, metavar="FILE", help="the images, netCDF")
     render.add_argument("--png", type=Path, metavar="DIR", help="also previews, one grey scale for all views")
+
+    flux = add("flux", "compute fluxes and absorption", FLUX, FLUX_EXAMPLES, device, quiet, overwrite, changes)
+    flux.add_argument("scene", type=Path, metavar="SCENE.toml")
+    flux.add_argument("--photons", type=_photons, default=1_000_000, help="from the sun, at least (default 1e6)")
+    flux.add_argument("--seed", type=_seed, default=0, help="of the random numbers (default 0)")
+    flux.add_argument("--output", type=Path, metavar="FILE", help="fluxes by column, netCDF")
 
     reconstruct = add(
         "reconstruct",
@@ -187,6 +215,28 @@ def _seed(text: str) -> int:
     if not text.isdigit() or int(text) >= 2**32:
         raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 0 to {2**32 - 1}")
     return int(text)
+
+
+def _share(text: str) -> float:
+    """A share, as 1% or 0.01."""
+    try:
+        value = float(text.rstrip("%")) / (100 if text.endswith("%") else 1)
+    except ValueError:
+        value = float("nan")
+    if not 0 < value < 10:
+        raise argparse.ArgumentTypeError(f"{text!r} is no share above 0, such as 1%% or 0.01")
+    return value
+
+
+def _photons(text: str) -> int:
+    """A number of photons, also as 1e7."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 1 <= value <= 1e13:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of photons from 1 to 1e13")
+    return round(value)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shlex
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,19 +12,20 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from cloudtomo_cl.carving import check_views
 from cloudtomo_cl.cloud_command import cloud as cloud
 from cloudtomo_cl.device import Device, choose_device, list_devices
 from cloudtomo_cl.errors import DataError, DeviceError, Interrupted, SettingsError
+from cloudtomo_cl.flux_command import flux as flux
 from cloudtomo_cl.init_command import init as init
-from cloudtomo_cl.io import check_output
 from cloudtomo_cl.measurements import Measurements
 from cloudtomo_cl.provenance import describe_device, source, versions
+from cloudtomo_cl.render_command import render as render
 from cloudtomo_cl.report_command import read_truth
 from cloudtomo_cl.report_command import report as report
 from cloudtomo_cl.scene import Scene
-from cloudtomo_cl.sensors import View
 from cloudtomo_cl.stages import automatic_stages
-from cloudtomo_cl.transport import RadianceOperator, Rendering
+from cloudtomo_cl.transport import RadianceOperator
 from cloudtomo_cl.validate_command import validate as validate
 
 if TYPE_CHECKING:
@@ -63,60 +63,6 @@ def devices() -> None:
     console.print(table)
 
 
-def render(
-    scene: Path,
-    samples: int,
-    seed: int,
-    output: Path,
-    png: Path | None,
-    device: str | None,
-    quiet: bool,
-    overwrite: bool,
-    overrides: Sequence[str] = (),
-) -> None:
-    """Renders a scene file into a file of measurements."""
-    from cloudtomo_cl import progress
-    from cloudtomo_cl.config import read_render_settings, stored_scene, views
-    from cloudtomo_cl.io import read_extinction, write_measurements
-
-    check_output(output, overwrite)
-    if png is not None and (png.is_file() or any(parent.is_file() for parent in png.parents)):
-        raise DataError(f"{png}: is a file, or lies beneath one: choose another folder for --png")
-    if png is not None and not overwrite and any(png.glob("view_*.png")):
-        raise DataError(f"{png}: holds previews already: choose another folder, or add --overwrite")
-    settings = read_render_settings(scene, overrides)
-    grid, extinction = read_extinction(settings.cloud.file)
-    described = settings.scene(grid)
-    _check_views(described, views(settings.view))
-    chosen = choose_device(device)
-    operator = RadianceOperator(described, views(settings.view), chosen)
-    console = Console(quiet=quiet)
-    start = time.perf_counter()
-    with progress.rendering(console, samples) as show:
-        rendering = operator.render(extinction, samples, seed, progress=show)
-    seconds = time.perf_counter() - start
-    measurements = _measurements(operator, rendering)
-    photons = samples * len(operator.pixels)
-    write_measurements(
-        output,
-        measurements,
-        {"source": source(), "device": chosen.name, "photons": float(photons), "seconds": seconds},
-        {"scene": stored_scene(described), "cloud_file": settings.cloud.file.name, "samples": samples, "seed": seed},
-    )
-    for index, (image, error) in enumerate(zip(measurements.images, measurements.standard_errors)):
-        # Pixels have random numbers of their own: their variances add.
-        mean_error = np.sqrt((error**2).sum()) / image.size
-        line = f"view {index}: mean radiance {image.mean():.5g} ± {mean_error:.1g} W m^-2 sr^-1"
-        console.print(line, highlight=False, soft_wrap=True)
-    console.print(f"{photons:.3g} photons in {progress.duration(seconds)} on {chosen.name}: {output}", soft_wrap=True)
-    if png is not None:
-        from cloudtomo_cl.plots import radiance_limit, save_previews
-
-        save_previews(png, measurements)
-        white = radiance_limit(measurements)
-        console.print(f"previews from 0 (black) to {white:.4g} W m^-2 sr^-1 (white): {png}", soft_wrap=True)
-
-
 def reconstruct(
     run: Path,
     seed: int | None,
@@ -151,7 +97,7 @@ def reconstruct(
             raise SettingsError(f"{run}: view: the views do not fit {settings.measurements.file}: {error}") from None
     scene = settings.scene(stored.get("scene", {}))
     truth = None if settings.truth is None else read_truth(settings.truth.file, scene.grid)
-    _check_views(scene, measurements.views)
+    check_views(scene, measurements.views)
     chosen = choose_device(device)
     stages = settings.stage or automatic_stages(scene.grid)
     check_memory(scene, measurements, stages, chosen)
@@ -280,7 +226,7 @@ def _write_modelled(
 
     operator = RadianceOperator(scene, measurements.views, device)
     samples = max(_FEWEST_MODELLED_SAMPLES, 2 * round(_MODELLED_PATHS / len(operator.pixels) / 2))
-    modelled = _measurements(operator, operator.render(extinction, samples, seed, iteration))
+    modelled = Measurements.rendered(operator, operator.render(extinction, samples, seed, iteration))
     write_measurements(folder.modelled_file, modelled, {"source": source(), "samples": samples, "seed": seed})
 
 
@@ -292,29 +238,7 @@ def _carve(scene: Scene, measurements: Measurements, device: Device) -> np.ndarr
     operator = RadianceOperator(scene, measurements.views, device, estimator="plain")
     samples = _CLEAR_SAMPLES if scene.air is None else _CLEAR_SAMPLES_IN_AIR
     clear = operator.render(np.zeros(scene.grid.shape, np.float32), samples)
-    return carve(scene.grid, measurements, _measurements(operator, clear))
-
-
-def _check_views(scene: Scene, views: Sequence[View]) -> None:
-    """Raises DataError for a view that can see nothing: all of its pixels look past cloud, air and ground."""
-    from cloudtomo_cl.carving import pixels_that_meet
-
-    if scene.surface.albedo > 0 or scene.air is not None or scene.boundary.horizontal == "periodic":
-        return
-    for index, view in enumerate(views):
-        if not pixels_that_meet(view, scene.grid).any():
-            lower, upper = scene.grid.origin, np.add(scene.grid.origin, scene.grid.extent)
-            box = ", ".join(f"{axis} {a:g} to {b:g}" for axis, a, b in zip("xyz", lower, upper))
-            raise DataError(
-                f"view {index} looks past the domain ({box} km) with every pixel: check its position, target, zenith "
-                "and azimuth, and their units (km, degrees)"
-            )
-
-
-def _measurements(operator: RadianceOperator, rendering: Rendering) -> Measurements:
-    """All pixels of a rendering as images."""
-    images, errors = (tuple(operator.images(values)) for values in (rendering.mean, rendering.standard_error))
-    return Measurements(operator.views, images, errors)
+    return carve(scene.grid, measurements, Measurements.rendered(operator, clear))
 
 
 def _read_measurements(path: Path) -> tuple[Measurements, dict[str, Any]]:

@@ -145,8 +145,16 @@ class RenderSettings(BaseModel):
 
     def scene(self, grid: Grid) -> Scene:
         """The scene, on the grid of the cloud's file."""
-        optics = Cloud(self.cloud.single_scattering_albedo, self.cloud.phase_function)
+        optics = Cloud(
+            self.cloud.single_scattering_albedo, self.cloud.phase_function, self.cloud.effective_radius
+        )
         return Scene(grid, self.sun, optics, self.air, self.surface, self.boundary)
+
+
+class FluxSettings(RenderSettings):
+    """A scene file as `cloudtomo flux` reads it: its views, if there are any, mean nothing."""
+
+    view: ViewTables | None = None  # type: ignore[assignment]
 
 
 class ReconstructSettings(BaseModel):
@@ -204,7 +212,7 @@ def stored_scene(scene: Scene) -> dict[str, Any]:
     return TypeAdapter(Scene).dump_python(scene, mode="json")
 
 
-Settings = TypeVar("Settings", RenderSettings, ReconstructSettings)
+Settings = TypeVar("Settings", RenderSettings, FluxSettings, ReconstructSettings)
 
 
 def read_render_settings(path: str | Path, overrides: Sequence[str] = ()) -> RenderSettings:
@@ -214,6 +222,12 @@ def read_render_settings(path: str | Path, overrides: Sequence[str] = ()) -> Ren
     """
     path = Path(path)
     return _check(path, with_overrides(_read_toml(path), overrides), RenderSettings)
+
+
+def read_flux_settings(path: str | Path, overrides: Sequence[str] = ()) -> FluxSettings:
+    """Reads a scene file, which needs no views; as `read_render_settings`."""
+    path = Path(path)
+    return _check(path, with_overrides(_read_toml(path), overrides), FluxSettings)
 
 
 def read_reconstruct_settings(path: str | Path, overrides: Sequence[str] = ()) -> ReconstructSettings:

@@ -117,7 +117,7 @@ def check_output(path: Path, overwrite: bool) -> None:
         raise DataError(f"{path}: exists already: choose another --output, or add --overwrite")
 
 
-def _save(path: str | os.PathLike[str], dataset: xr.Dataset) -> None:
+def save_dataset(path: str | os.PathLike[str], dataset: xr.Dataset) -> None:
     """Writes all or nothing: a file of that name is either whole or as it was before."""
     encoding = {
         name: {"zlib": True, "complevel": 4}
@@ -248,6 +248,21 @@ def read_extinction(path: str | os.PathLike[str]) -> tuple[Grid, np.ndarray]:
         raise DataError(f"{path}: impossible grid: {error.errors()[0]['msg']} (z must be at least 0)") from None
 
 
+def read_effective_radius(path: str | os.PathLike[str]) -> np.ndarray | None:
+    """effective_radius(x, y, z) of a cloud's file, micrometres, NaN where it has no cloud; None if it has none.
+
+    Raises
+    ------
+    DataError : other dimensions or units
+    """
+    dataset = load_dataset(path)
+    if "effective_radius" not in dataset:
+        return None
+    variable = _variable(path, dataset, "effective_radius", AXES)
+    factor = _unit(path, variable, {"um": 1.0, "micrometer": 1.0, "micron": 1.0, "m": 1e6}, "um")
+    return np.ascontiguousarray(variable.to_numpy() * factor, np.float32)
+
+
 def write_extinction(
     path: str | os.PathLike[str],
     grid: Grid,
@@ -295,7 +310,7 @@ def write_extinction(
         described = {"long_name": "effective radius of the cloud's droplets", "units": "um"}
         described["standard_name"] = "effective_radius_of_cloud_liquid_water_particles"
         variables["effective_radius"] = (AXES, effective_radius.astype(np.float32), described)
-    _save(path, xr.Dataset(variables, coordinates, _attributes(attributes)))
+    save_dataset(path, xr.Dataset(variables, coordinates, _attributes(attributes)))
 
 
 def write_measurements(
@@ -360,7 +375,7 @@ def write_measurements(
     described = _attributes(attributes)
     if settings is not None:
         described["settings"] = json.dumps(settings, indent=1)
-    _save(path, xr.Dataset(variables, coordinates, described))
+    save_dataset(path, xr.Dataset(variables, coordinates, described))
 
 
 def read_measurements(path: str | os.PathLike[str]) -> Measurements:
@@ -448,7 +463,7 @@ def write_rays(path: str | os.PathLike[str], view: RayView) -> None:
     variables = {name.removeprefix("ray_"): variable for name, variable in _ray_variables([view]).items()}
     width, height = view.pixels
     sizes = {"image_width": width, "image_height": height}
-    _save(path, xr.Dataset(variables, {"axis": ("axis", np.array(AXES, dtype=object))}, _attributes(sizes)))
+    save_dataset(path, xr.Dataset(variables, {"axis": ("axis", np.array(AXES, dtype=object))}, _attributes(sizes)))
 
 
 def read_rays(path: str | os.PathLike[str]) -> RayView:

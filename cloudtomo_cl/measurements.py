@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import resample
 from cloudtomo_cl.sensors import RayView, View
+
+if TYPE_CHECKING:
+    from cloudtomo_cl.transport import RadianceOperator, Rendering
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,12 @@ class Measurements:
     views: tuple[View, ...]
     images: tuple[np.ndarray, ...]
     standard_errors: tuple[np.ndarray, ...]
+
+    @classmethod
+    def rendered(cls, operator: RadianceOperator, rendering: Rendering) -> Measurements:
+        """All pixels of a rendering as images."""
+        images, errors = (tuple(operator.images(values)) for values in (rendering.mean, rendering.standard_error))
+        return cls(operator.views, images, errors)
 
     def __post_init__(self) -> None:
         for name, arrays in (("images", self.images), ("standard_errors", self.standard_errors)):

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import distance_transform_cdt
 
 from cloudtomo_cl.device import Device
 from cloudtomo_cl.errors import DataError
@@ -138,6 +137,8 @@ def clear_distances(occupied: np.ndarray, periodic: bool) -> np.ndarray:
 
     Returns uint8, shape of the grid: 0 where occupied, 1 beside it, at most 255.
     """
+    from scipy.ndimage import distance_transform_cdt
+
     if not occupied.any():
         return np.full(occupied.shape, _LARGEST_SKIP, np.uint8)
     if not periodic:

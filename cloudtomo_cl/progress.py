@@ -16,19 +16,19 @@ if TYPE_CHECKING:
 _PLAIN_LINE_SECONDS = 10.0
 
 
-class Samples(Protocol):
-    """Called with the number of samples done so far."""
+class Done(Protocol):
+    """Called with how much is done so far."""
 
     def __call__(self, done: int, /) -> None: ...
 
 
 @contextmanager
-def rendering(console: Console, samples: int) -> Iterator[Samples]:
-    """Shows how many samples per pixel are done."""
+def rendering(console: Console, total: int, unit: str = "samples") -> Iterator[Done]:
+    """Shows how much of a total is done: samples per pixel, photons ..."""
     if console.is_terminal:
-        columns = (TextColumn("rendering"), BarColumn(), TextColumn("{task.completed}/{task.total} samples"))
+        columns = (TextColumn("rendering"), BarColumn(), TextColumn("{task.completed}/{task.total} " + unit))
         with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
-            task = bar.add_task("rendering", total=samples)
+            task = bar.add_task("rendering", total=total)
             yield lambda done: bar.update(task, completed=done)
         return
     start = shown = time.monotonic()
@@ -36,10 +36,10 @@ def rendering(console: Console, samples: int) -> Iterator[Samples]:
     def line(done: int) -> None:
         nonlocal shown
         now = time.monotonic()
-        if now - shown >= _PLAIN_LINE_SECONDS and done < samples:
+        if now - shown >= _PLAIN_LINE_SECONDS and done < total:
             shown = now
-            left = (now - start) * (samples - done) / done
-            console.print(f"rendering: {done}/{samples} samples, {duration(left)} left")
+            left = (now - start) * (total - done) / max(done, 1)
+            console.print(f"rendering: {done}/{total} {unit}, {duration(left)} left")
 
     yield line
 

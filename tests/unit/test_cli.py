@@ -177,6 +177,32 @@ def test_render_repeats_with_its_seed(folder):
     assert np.array_equal(xr.open_dataset("one.nc").radiance, xr.open_dataset("two.nc").radiance, equal_nan=True)
 
 
+def test_render_reaches_a_target_error(folder, capsys):
+    assert main("render scene.toml --target-error 20% --output images.nc".split()) == 0
+    noise = [float(share) for share in re.findall(r"pixel noise ([\d.]+)%", capsys.readouterr().out)]
+    assert len(noise) == 2 and max(noise) <= 20
+
+
+@pytest.mark.parametrize("share", ["0", "-1%", "one", "nan"])
+def test_render_refuses_targets_that_are_no_share(folder, capsys, share):
+    with pytest.raises(SystemExit) as stop:
+        main(["render", "scene.toml", f"--target-error={share}", "--output", "images.nc"])
+    assert stop.value.code == 2 and "is no share above 0" in capsys.readouterr().err
+
+
+def test_flux_prints_and_writes_fluxes_with_units(folder, capsys):
+    periodic = ["--set", 'boundary.horizontal="periodic"']
+    assert main(["flux", "scene.toml", "--photons", "2e4", "--seed", "1", "--output", "fluxes.nc", *periodic]) == 0
+    text = capsys.readouterr().out
+    for name in ("reflected", "transmitted", "direct", "diffuse", "absorbed"):
+        assert re.search(rf"{name} +[\d.]+ ± [\d.e-]+ W m\^-2", text)
+    with xr.open_dataset("fluxes.nc") as dataset:
+        for name in ("reflected", "direct", "diffuse", "absorbed"):
+            for variable in (dataset[name], dataset[f"{name}_standard_error"]):
+                assert variable.dims == ("x", "y") and variable.attrs["units"] == "W m-2"
+        assert dataset.attrs["photons"] >= 2e4 and dataset.attrs["seed"] == 1
+
+
 def test_render_quiet_says_nothing(folder, capsys):
     assert main("render scene.toml --samples 4 --quiet --output images.nc --png png".split()) == 0
     assert capsys.readouterr().out == ""

@@ -1,0 +1,53 @@
+"""Renderings to a wanted noise."""
+
+import numpy as np
+import pytest
+from scenes import ABOVE, CAMERA, SCENES, extinction_of
+
+from cloudtomo_cl.adaptive import relative_error, render_to_error
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.sensors import OrthographicView
+from cloudtomo_cl.transport import RadianceOperator
+
+SCENE = SCENES["forward peak"]
+
+
+@pytest.fixture(scope="module")
+def operator(device):
+    return RadianceOperator(SCENE, [ABOVE, CAMERA], device)
+
+
+def test_the_target_is_reached(operator):
+    rendering = render_to_error(operator, extinction_of(SCENE), 0.02, seed=1)
+    assert 0.012 < relative_error(operator, rendering).max() <= 0.02
+
+
+def test_means_agree_with_equal_samples(operator):
+    """Pooled over the pixels: 4 standard errors, significance 6e-5."""
+    adaptive = render_to_error(operator, extinction_of(SCENE), 0.01, seed=1)
+    equal = operator.render(extinction_of(SCENE), 20_000, seed=2)
+    difference = adaptive.mean - equal.mean
+    error = np.hypot(adaptive.standard_error, equal.standard_error)
+    assert abs(difference.sum()) < 4 * np.sqrt((error**2).sum()) < 0.06 * equal.mean.sum()
+    assert np.abs(difference / error).max() < 5
+
+
+def test_paths_go_where_the_noise_is(device):
+    wide = OrthographicView(width=3.0, pixels=(15, 15), zenith=0)
+    operator = RadianceOperator(SCENE, [wide], device)
+    rendering = render_to_error(operator, extinction_of(SCENE), 0.2, seed=1)
+    lit = rendering.mean > 0.1 * rendering.mean.max()
+    assert 4 < lit.sum() < 60
+    assert np.median(rendering.samples[lit]) > 5 * np.median(rendering.samples[~lit])
+
+
+def test_photons_are_limited_and_counted(operator):
+    rendering = render_to_error(operator, extinction_of(SCENE), 1e-6, seed=1, most_photons=50_000)
+    assert 40_000 < rendering.audit.launched <= 50_000 + 2 * len(operator.pixels)
+    assert abs(rendering.audit.balance) < 1e-5
+
+
+@pytest.mark.parametrize("target", [0.0, -1.0, float("nan")])
+def test_impossible_targets_are_refused(operator, target):
+    with pytest.raises(DataError, match="target_error"):
+        render_to_error(operator, extinction_of(SCENE), target)

@@ -1,0 +1,64 @@
+"""Walks that skip what is clear."""
+
+import numpy as np
+import pytest
+from scenes import ABOVE, CAMERA, PERIODIC, RAYS, kernel_paths, optics
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.medium import clear_distances
+from cloudtomo_cl.scene import Boundary, Scene, Sun, Surface
+from cloudtomo_cl.transport import RadianceOperator
+
+GRID = Grid(shape=(9, 12, 9), spacing=(0.034, 0.027, 0.04), origin=(0.5, -0.2, 0.2))
+
+
+@pytest.fixture
+def sparse(random):
+    """km^-1; a few droplets in a clear domain."""
+    extinction = np.zeros(GRID.shape, np.float32)
+    extinction[3:6, 5:8, 3:6] = random.uniform(5, 40, (3, 3, 3))
+    extinction[8, 0, 8] = 60
+    return extinction
+
+
+@pytest.mark.parametrize("periodic", [False, True], ids=["open", "periodic"])
+def test_distances_are_those_to_the_nearest_occupied_voxel(random, periodic):
+    occupied = random.random((7, 5, 6)) > 0.97
+    found = clear_distances(occupied, periodic)
+    voxels, shape = np.argwhere(occupied), np.array(occupied.shape)
+    for voxel in np.ndindex(*occupied.shape):
+        apart = np.abs(voxels - voxel)
+        if periodic:
+            apart[:, :2] = np.minimum(apart[:, :2], shape[:2] - apart[:, :2])
+        assert found[voxel] == min(apart.max(axis=1).min(), 5 if periodic else 255)
+
+
+@pytest.mark.parametrize("horizontal", ["open", "periodic"])
+@pytest.mark.parametrize("zenith", [0, 65])
+def test_paths_are_the_same_with_and_without(device, sparse, horizontal, zenith):
+    # Up to rounding, which sends a path in a hundred another way (see test_paths).
+    scene = Scene(
+        GRID, Sun(zenith=zenith, azimuth=70), optics(0.85), surface=Surface(0.3), boundary=Boundary(horizontal)
+    )
+    views = [ABOVE, CAMERA, RAYS]
+    walking = RadianceOperator(scene, views, device).render(sparse, 40, keep_paths=True)
+    skipping = RadianceOperator(scene, views, device, mask=sparse > 0).render(sparse, 40, keep_paths=True)
+    found, expected = kernel_paths(skipping), kernel_paths(walking)
+    assert (expected != 0).mean() > 0.3
+    assert np.mean(np.abs(found - expected) <= 1e-3 * expected) >= 0.99
+
+
+def test_gradients_inside_a_mask_are_the_same(device, sparse):
+    scene = Scene(GRID, Sun(zenith=30, azimuth=70), optics(0.85), boundary=PERIODIC)
+    mask, gradients = sparse > 0, []
+    for operator in (RadianceOperator(scene, [CAMERA], device), RadianceOperator(scene, [CAMERA], device, mask=mask)):
+        rendering = operator.render(sparse, 200, keep_paths=True)
+        gradients.append(operator.gradient(rendering, np.ones((9, 2))).get()[mask])
+    np.testing.assert_allclose(gradients[0], gradients[1], atol=0.02 * np.abs(gradients[0]).max())
+
+
+def test_extinction_outside_of_the_mask_is_refused(device, sparse):
+    operator = RadianceOperator(Scene(GRID, Sun(zenith=0)), [ABOVE], device, mask=np.zeros(GRID.shape, bool))
+    with pytest.raises(DataError, match="outside of the mask"):
+        operator.render(sparse, 2)
