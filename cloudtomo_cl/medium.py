@@ -142,12 +142,12 @@ def clear_distances(occupied: np.ndarray, periodic: bool) -> np.ndarray:
     if not occupied.any():
         return np.full(occupied.shape, _LARGEST_SKIP, np.uint8)
     if not periodic:
-        return np.minimum(distance_transform_cdt(~occupied), _LARGEST_SKIP).astype(np.uint8)
+        return np.minimum(distance_transform_cdt(~occupied), _LARGEST_SKIP).astype(np.uint8, order="C")
     margin = _PERIODIC_MARGIN
     padded = np.pad(occupied, ((margin, margin), (margin, margin), (0, 0)), mode="wrap")
     distances = distance_transform_cdt(~padded)[margin:-margin, margin:-margin]
     # Beyond the margin nothing is known, and a walk wraps round the domain once at most.
-    return np.clip(distances, 0, min(margin, *occupied.shape[:2])).astype(np.uint8)
+    return np.clip(distances, 0, min(margin, *occupied.shape[:2])).astype(np.uint8, order="C")
 
 
 def check_extinction(values: np.ndarray) -> None:
