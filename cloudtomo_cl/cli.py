@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from cloudtomo_cl import cloud_command, init_command, validate_command
+from cloudtomo_cl import cloud_command, init_command, mie_command, validate_command
 from cloudtomo_cl.errors import CloudtomoError, Interrupted
 from cloudtomo_cl.stopping import ending_tidily
 
@@ -42,7 +42,7 @@ scene.toml:
   [cloud]
   file = "cloud.nc"                 # relative to this file
   single_scattering_albedo = 1.0
-  phase_function = { type = "henyey-greenstein", g = 0.85 }
+  phase_function = { type = "henyey-greenstein", g = 0.85 }   # or "double-henyey-greenstein", or "table" with file
   [sun]
   zenith = 30.0                     # degrees
   azimuth = 200.0                   # degrees, from +x (east) towards +y (north)
@@ -150,6 +150,9 @@ def parser() -> argparse.ArgumentParser:
 
     texts = (init_command.DESCRIPTION, init_command.EXAMPLES)
     init_command.add_arguments(add("init", "write a settings file to start from", *texts, quiet, overwrite))
+
+    texts = (mie_command.DESCRIPTION, mie_command.EXAMPLES)
+    mie_command.add_arguments(add("mie", "phase functions of droplets by Mie's theory", *texts, quiet, overwrite))
 
     render = add("render", "compute images of a scene", RENDER, RENDER_EXAMPLES, device, quiet, overwrite, changes)
     render.add_argument("scene", type=Path, metavar="SCENE.toml")

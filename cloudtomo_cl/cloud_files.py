@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import ValidationError
 
-from cloudtomo_cl.cloud_volume import CloudVolume, extinction_from_water, uniform_layers, weighted_mean
+from cloudtomo_cl.cloud_volume import CloudVolume, uniform_layers, weighted_mean
+from cloudtomo_cl.droplets import extinction_from_water
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import Grid
 

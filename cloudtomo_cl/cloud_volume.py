@@ -177,17 +177,6 @@ class CloudVolume:
         return rows
 
 
-def extinction_from_water(liquid_water_content: np.ndarray, effective_radius: np.ndarray) -> np.ndarray:
-    """Extinction of droplets much larger than the wavelength, km^-1: 3 LWC / (2 rho r_e), extinction efficiency 2.
-
-    Parameters
-    ----------
-    liquid_water_content : g m^-3
-    effective_radius : micrometres
-    """
-    return 1500.0 * np.asarray(liquid_water_content) / np.asarray(effective_radius)
-
-
 def weighted_mean(weighted: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """weighted / weight, NaN where there is no weight."""
     return np.divide(weighted, weight, out=np.full(weight.shape, np.nan), where=weight > 0)

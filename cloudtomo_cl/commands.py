@@ -19,6 +19,7 @@ from cloudtomo_cl.errors import DataError, DeviceError, Interrupted, SettingsErr
 from cloudtomo_cl.flux_command import flux as flux
 from cloudtomo_cl.init_command import init as init
 from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.mie_command import mie as mie
 from cloudtomo_cl.provenance import describe_device, source, versions
 from cloudtomo_cl.render_command import render as render
 from cloudtomo_cl.report_command import read_truth

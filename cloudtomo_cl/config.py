@@ -11,10 +11,20 @@ import difflib
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, ValidationInfo
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+)
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.errors import SettingsError
@@ -22,6 +32,8 @@ from cloudtomo_cl.formations import RingOfViews, StringOfScans, StringOfViews
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.optimizer import Optimizer
 from cloudtomo_cl.overrides import with_overrides
+from cloudtomo_cl.phase import HenyeyGreenstein, PhaseFunction
+from cloudtomo_cl.phase_files import read_phase_function
 from cloudtomo_cl.prior import Prior
 from cloudtomo_cl.scene import Air, Boundary, Cloud, NotNegative, Positive, Scene, Sun, Surface
 from cloudtomo_cl.sensors import (
@@ -103,8 +115,28 @@ def views(tables: Sequence[ViewTable]) -> tuple[View, ...]:
     return tuple(found)
 
 
+def _phase_function_file(value: Any, info: ValidationInfo) -> Any:
+    """A table of a phase function may lie in a file; its numbers then take the file's place."""
+    if not isinstance(value, dict) or "file" not in value or value.get("type", "table") != "table":
+        return value
+    if set(value) - {"type", "file"} or not isinstance(value["file"], str):
+        raise ValueError('a phase function from a file is { type = "table", file = "NAME" }, with no other key')
+    return read_phase_function(_beside_settings(Path(value["file"]), info))
+
+
 @dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
-class CloudFile(Cloud):
+class CloudTable(Cloud):
+    """The droplets' optics, whose phase function may lie in a file."""
+
+    phase_function: Annotated[PhaseFunction, BeforeValidator(_phase_function_file)] = HenyeyGreenstein(g=0.85)
+
+    def optics(self) -> Cloud:
+        """Without the files."""
+        return Cloud(**{field.name: getattr(self, field.name) for field in fields(Cloud)})
+
+
+@dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
+class CloudFile(CloudTable):
     """The droplets' optics, and the file of their extinction.
 
     Attributes
@@ -145,10 +177,7 @@ class RenderSettings(BaseModel):
 
     def scene(self, grid: Grid) -> Scene:
         """The scene, on the grid of the cloud's file."""
-        optics = Cloud(
-            self.cloud.single_scattering_albedo, self.cloud.phase_function, self.cloud.effective_radius
-        )
-        return Scene(grid, self.sun, optics, self.air, self.surface, self.boundary)
+        return Scene(grid, self.sun, self.cloud.optics(), self.air, self.surface, self.boundary)
 
 
 class FluxSettings(RenderSettings):
@@ -169,7 +198,7 @@ class ReconstructSettings(BaseModel):
     truth: File | None = None
     grid: Grid | None = None
     sun: Sun | None = None
-    cloud: Cloud | None = None
+    cloud: CloudTable | None = None
     air: Air | None = None
     surface: Surface | None = None
     boundary: Boundary | None = None
@@ -196,7 +225,7 @@ class ReconstructSettings(BaseModel):
         for name in ("grid", "sun", "cloud", "air", "surface", "boundary"):
             given = getattr(self, name)
             if given is not None:
-                tables[name] = given
+                tables[name] = given.optics() if isinstance(given, CloudTable) else given
         for name in ("grid", "sun"):
             if tables.get(name) is None:
                 raise SettingsError(f"{self.measurements.file} does not store [{name}]: add this table to the run file")

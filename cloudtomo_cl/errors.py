@@ -35,3 +35,7 @@ class Interrupted(CloudtomoError):
     def __init__(self, text: str, status: int) -> None:
         super().__init__(text)
         self.status = status
+
+
+class MissingPackageError(CloudtomoError):
+    """A package is not installed that only this needs; the text says how to install it."""

@@ -235,7 +235,9 @@ def _with_type(table: Any) -> Any:
     return table
 
 
+AnyPhaseFunction = HenyeyGreenstein | DoubleHenyeyGreenstein | TabulatedPhaseFunction
+# As a table of the settings.
 PhaseFunction = Annotated[
-    Annotated[HenyeyGreenstein | DoubleHenyeyGreenstein | TabulatedPhaseFunction, Field(discriminator="type")],
+    Annotated[AnyPhaseFunction, Field(discriminator="type")],
     BeforeValidator(_with_type),
 ]

@@ -13,6 +13,7 @@ import numpy as np
 
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.phase import AnyPhaseFunction, TabulatedPhaseFunction
 from cloudtomo_cl.sensors import RayView
 
 if TYPE_CHECKING:
@@ -211,6 +212,42 @@ def plot_scatter(axes: Axes, recovered: np.ndarray, truth: np.ndarray) -> None:
     axes.set_aspect("equal")
     axes.set_xlabel(f"true {EXTINCTION_LABEL}")
     axes.set_ylabel(f"recovered {EXTINCTION_LABEL}")
+
+
+def plot_phase_function(axes: Axes, phase_function: AnyPhaseFunction, label: str | None = None) -> None:
+    """Density over the scattering angle, logarithmic; a line for each row of a table, dark for small droplets.
+
+    Parameters
+    ----------
+    label : of a phase function without radii, for a legend
+    """
+    radii = getattr(phase_function, "effective_radius", ())
+    if isinstance(phase_function, TabulatedPhaseFunction):
+        angle = np.array(phase_function.angle)
+        rows = np.array(phase_function.values)
+    else:
+        angle = np.linspace(0.0, 180.0, 721)
+        rows = phase_function.density(np.cos(np.radians(angle)))[None, :]
+    if radii:
+        from matplotlib import colormaps
+
+        colours = colormaps["viridis"](np.linspace(0.0, 0.9, len(radii)))
+        # A legend of many lines hides them: the ends and a few between.
+        named = set(np.linspace(0, len(radii) - 1, min(len(radii), 6)).round().astype(int))
+        for index, (radius, row) in enumerate(zip(radii, rows)):
+            name = f"{radius:g} µm" if index in named else None
+            axes.plot(angle, row, color=colours[index], linewidth=1, label=name)
+        axes.legend(title="effective radius", fontsize="small")
+    else:
+        axes.plot(angle, rows[0], linewidth=1, label=label)
+        if label is not None:
+            axes.legend(fontsize="small")
+    axes.set_yscale("log")
+    axes.set_xlim(0, 180)
+    axes.set_xticks(range(0, 181, 30))
+    axes.set_xlabel("scattering angle (degrees)")
+    axes.set_ylabel("phase function (sr$^{-1}$)")
+    axes.grid(color="0.9", linewidth=0.5)
 
 
 def radiance_limit(measurements: Measurements) -> float:

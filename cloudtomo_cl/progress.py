@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
@@ -40,6 +40,27 @@ def rendering(console: Console, total: int, unit: str = "samples") -> Iterator[D
             shown = now
             left = (now - start) * (total - done) / max(done, 1)
             console.print(f"rendering: {done}/{total} {unit}, {duration(left)} left")
+
+    yield line
+
+
+@contextmanager
+def counting(console: Console, what: str) -> Iterator[Callable[[int, int], None]]:
+    """Shows how many of a number of things are done; called with both."""
+    if console.is_terminal:
+        columns = (TextColumn(what), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeRemainingColumn())
+        with Progress(*columns, console=console, transient=True) as bar:
+            task = bar.add_task(what, total=None)
+            yield lambda done, total: bar.update(task, completed=done, total=total)
+        return
+    start = shown = time.monotonic()
+
+    def line(done: int, total: int) -> None:
+        nonlocal shown
+        now = time.monotonic()
+        if now - shown >= _PLAIN_LINE_SECONDS and done < total:
+            shown = now
+            console.print(f"{what}: {done}/{total}, {duration((now - start) * (total - done) / done)} left")
 
     yield line
 

@@ -11,8 +11,8 @@ fi
 installed=.venv/installed
 wanted="$PWD $(cat setup.cfg pyproject.toml | cksum)"
 if [ "$(cat "$installed" 2>/dev/null)" != "$wanted" ]; then
-    echo "installing into .venv (some 300 MB, once) ..."
-    .venv/bin/python -m pip install --quiet --disable-pip-version-check -e '.[test]'
+    echo "installing into .venv (some 500 MB, once) ..."
+    .venv/bin/python -m pip install --quiet --disable-pip-version-check -e '.[test,mie]'
     echo "$wanted" >"$installed"
 fi
 export PATH="$PWD/.venv/bin:$PATH"

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from cloudtomo_cl.cloud_volume import CloudVolume, extinction_from_water, uniform_layers
+from cloudtomo_cl.cloud_volume import CloudVolume, uniform_layers
+from cloudtomo_cl.droplets import extinction_from_water
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import Grid
 

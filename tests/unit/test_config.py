@@ -1,13 +1,16 @@
 """Settings files: the smallest ones, and what is said of wrong ones."""
 
+import json
+
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from cloudtomo_cl.config import read_reconstruct_settings, read_render_settings, stored_scene
-from cloudtomo_cl.errors import SettingsError
+from cloudtomo_cl.errors import DataError, SettingsError
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.optimizer import Optimizer
-from cloudtomo_cl.phase import DoubleHenyeyGreenstein, HenyeyGreenstein, TabulatedPhaseFunction
+from cloudtomo_cl.phase import DoubleHenyeyGreenstein, HenyeyGreenstein, PhaseFunction, TabulatedPhaseFunction
+from cloudtomo_cl.phase_files import write_phase_function
 from cloudtomo_cl.prior import Prior
 from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
 from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
@@ -100,6 +103,39 @@ def test_a_table_may_be_written_out(folder):
     text = SCENE.replace('file = "cloud.nc"', f'file = "cloud.nc"\nphase_function = {table}')
     expected = TabulatedPhaseFunction((0, 180), (0.1, 0.06), (10,))
     assert read_scene(folder, text).cloud.phase_function == expected
+
+
+TABLE = TabulatedPhaseFunction((0, 180), ((0.1, 0.06), (0.11, 0.05)), (5, 10), (1, 0.9))
+TABLE_FILE = 'phase_function = { type = "table", file = "mie.nc" }\n'
+
+
+def test_a_table_may_lie_in_a_file_beside_the_settings(folder):
+    write_phase_function(folder / "mie.nc", TABLE)
+    text = SCENE.replace('file = "cloud.nc"\n', f'file = "cloud.nc"\neffective_radius = 7.0\n{TABLE_FILE}')
+    cloud = Cloud(phase_function=TABLE, effective_radius=7.0)
+    assert read_scene(folder, text).scene(GRID) == Scene(GRID, Sun(60.0), cloud)
+
+
+def test_a_run_takes_its_phase_function_from_a_file(folder):
+    write_phase_function(folder / "mie.nc", TABLE)
+    scene = read_run(folder, f"{RUN}[cloud]\n{TABLE_FILE}").scene(stored_scene(Scene(GRID, Sun(60.0))))
+    assert scene == Scene(GRID, Sun(60.0), Cloud(phase_function=TABLE))
+
+
+def test_the_stored_scene_holds_the_table_itself(folder):
+    scene = Scene(GRID, Sun(60.0), Cloud(phase_function=TABLE))
+    assert read_run(folder, RUN).scene(json.loads(json.dumps(stored_scene(scene)))) == scene
+
+
+def test_settings_hold_the_table_itself(folder):
+    write_phase_function(folder / "mie.nc", TABLE)
+    dumped = read_run(folder, f"{RUN}[cloud]\n{TABLE_FILE}").model_dump(mode="json")
+    assert TypeAdapter(PhaseFunction).validate_python(dumped["cloud"]["phase_function"]) == TABLE
+
+
+def test_a_file_that_is_no_phase_function_is_named(folder):
+    with pytest.raises(DataError, match="cloud.nc: not a netCDF file"):
+        read_run(folder, f'{RUN}[cloud]\n{TABLE_FILE.replace("mie", "cloud")}')
 
 
 def test_files_are_beside_the_settings(folder):
@@ -207,6 +243,16 @@ WRONG_SCENES = {
         'file = "cloud.nc"',
         'file = "cloud.nc"\nphase_function = { type = "table", angle = [0, 180], values = [1, "a"] }',
         'cloud.phase_function.values[0][1] must be a number, is "a"',
+    ),
+    "phase function from a file that is not there": (
+        'file = "cloud.nc"',
+        'file = "cloud.nc"\nphase_function = { type = "table", file = "mei.nc" }',
+        "cloud.phase_function is wrong: there is no file",
+    ),
+    "phase function from a file and more": (
+        'file = "cloud.nc"',
+        'file = "cloud.nc"\nphase_function = { type = "table", file = "cloud.nc", angle = [0, 180] }',
+        "cloud.phase_function is wrong: a phase function from a file is",
     ),
     "phase function that is no table": (
         'file = "cloud.nc"',

@@ -8,11 +8,13 @@ from matplotlib.image import imread
 
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.phase import HenyeyGreenstein, TabulatedPhaseFunction
 from cloudtomo_cl.plots import (
     new_figure,
     plot_history,
     plot_images,
     plot_optical_depth,
+    plot_phase_function,
     plot_scatter,
     plot_slice,
     plot_slices,
@@ -171,3 +173,21 @@ def test_a_difference_is_in_standard_errors_of_both(measurements):
     images = tuple(image + 1.0 for image in measurements.images)
     other = replace(one, images=images, standard_errors=tuple(error / 0.3 * 0.4 for error in errors))
     assert all(np.allclose(difference, 2.0) for difference in one.differences(other))
+
+
+def test_phase_function_has_a_line_for_each_radius():
+    radii = tuple(range(5, 13))
+    table = TabulatedPhaseFunction((0, 90, 180), np.full((8, 3), 1 / (4 * np.pi)), radii)
+    axes = new_figure(4, 3).subplots()
+    plot_phase_function(axes, table)
+    assert len(axes.get_lines()) == 8
+    assert [text.get_text() for text in axes.get_legend().get_texts()][::5] == ["5 µm", "12 µm"]
+
+
+def test_phase_function_is_drawn_over_its_angle():
+    axes = new_figure(4, 3).subplots()
+    plot_phase_function(axes, HenyeyGreenstein(0.5), label="g 0.5")
+    angle, density = axes.get_lines()[0].get_data()
+    # Of Henyey and Greenstein at 180 degrees: (1 - g) / (4 pi (1 + g)^2).
+    assert (angle[-1], density[-1]) == pytest.approx((180.0, 0.5 / (4 * np.pi * 1.5**2)))
+    assert axes.get_yscale() == "log"

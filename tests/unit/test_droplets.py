@@ -1,0 +1,67 @@
+"""Extinction of liquid water in droplets."""
+
+import numpy as np
+import pytest
+
+from cloudtomo_cl.droplets import DropletTable, extinction_from_water
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.phase import TabulatedPhaseFunction
+from cloudtomo_cl.water import water_refractive_index
+
+FUNCTION = TabulatedPhaseFunction((0, 180), np.full((2, 2), 1 / (4 * np.pi)), (5.0, 15.0))
+TABLE = DropletTable(FUNCTION, (2.4, 2.2), 672.0, 0.1, 1.331, 2e-8)
+
+
+def test_large_droplets_are_in_the_geometric_limit():
+    # By hand: 1 g in droplets of 10 um radius; volume 1e-6 m^3, cross-section 3/4 V / r = 0.075 m^2, twice.
+    assert extinction_from_water(1.0, 10.0) == pytest.approx(150.0)
+
+
+def test_the_table_gives_the_efficiency_between_its_radii():
+    assert extinction_from_water(1.0, 10.0, TABLE) == pytest.approx(150.0 * 2.3 / 2)
+
+
+def test_the_table_at_its_radii_is_its_mass_extinction():
+    expected = 0.3 * TABLE.mass_extinction * 1e3  # m^-1 to km^-1
+    np.testing.assert_allclose(extinction_from_water(0.3, np.array([5.0, 15.0]), TABLE), expected, rtol=1e-14)
+
+
+def test_air_without_water_needs_no_radius():
+    extinction = extinction_from_water(np.array([0.0, 0.2]), np.array([np.nan, 6.0]), TABLE)
+    assert extinction[0] == 0 and extinction[1] > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((-0.1, 10.0), "liquid_water_content must be finite and at least 0"),
+        ((np.nan, 10.0), "liquid_water_content must be finite"),
+        ((0.1, 0.0), "effective_radius must be finite and greater than 0"),
+        ((0.1, 20.0, TABLE), "effective_radius is 20 to 20 micrometres, the table has 5 to 15"),
+    ],
+)
+def test_what_is_impossible_is_named(arguments, message):
+    with pytest.raises(DataError, match=message):
+        extinction_from_water(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("wavelength", "index", "real_error", "relative_imaginary_error"),
+    [
+        # Not Hale and Querry's: IAPWS R9-97 at 25 degrees C and 0.1 MPa, 589.0 nm and 632.8 nm.
+        (589.0, 1.33251, 6e-4, np.inf),
+        (632.8, 1.33143, 6e-4, np.inf),
+        # Pope and Fry 1997: water absorbs 0.340 m^-1 at 650 nm, which is 4 pi k / wavelength.
+        (650.0, 1.331 - 1j * 0.340 * 650e-9 / (4 * np.pi), 6e-4, 0.1),
+    ],
+)
+def test_water_is_water(wavelength, index, real_error, relative_imaginary_error):
+    found = water_refractive_index(wavelength)
+    assert found.real == pytest.approx(index.real, abs=real_error)
+    if np.isfinite(relative_imaginary_error):
+        assert found.imag == pytest.approx(index.imag, rel=relative_imaginary_error)
+
+
+def test_water_far_in_the_infrared_needs_an_index():
+    with pytest.raises(DataError, match="10000 nm: water's refractive index is known from 200 to 4000 nm"):
+        water_refractive_index(10000.0)
