@@ -29,7 +29,7 @@ _TAIL = 1e-6
 INTERPOLATION_ERROR = 2e-3
 # The angles from which the table's are chosen: degrees, and radians times the largest size parameter.
 _COARSEST_STEP = 0.1
-_FINEST_STEP = 0.1
+_FINEST_STEP = 0.03
 _STEP_GROWTH = 0.01
 _SIZES_AT_ONCE = 256
 _LARGEST_SIZE_PARAMETER = 2e4
