@@ -126,7 +126,12 @@ def _phase_function_file(value: Any, info: ValidationInfo) -> Any:
 
 @dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
 class CloudTable(Cloud):
-    """The droplets' optics, whose phase function may lie in a file."""
+    """The droplets' optics, whose phase function may lie in a file.
+
+    Attributes
+    ----------
+    phase_function : of the droplets; `{ type = "table", file = "mie.nc" }` takes a table from netCDF
+    """
 
     phase_function: Annotated[PhaseFunction, BeforeValidator(_phase_function_file)] = HenyeyGreenstein(g=0.85)
 
