@@ -215,8 +215,9 @@ class Device:
 
     def constant(self, values: np.ndarray) -> Any:
         """A buffer with a copy of an array, for kernels to read."""
-        flags = _import_pyopencl().mem_flags
-        return _import_pyopencl().Buffer(self.context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=np.ascontiguousarray(values))
+        cl = _import_pyopencl()
+        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+        return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values))
 
     def launch(self, kernel: Any, work_items: int, *arguments: Any) -> None:
         """Runs a kernel on at least `work_items` work items (kernels skip the rest)."""

@@ -16,6 +16,8 @@ from cloudtomo_cl.scene import Scene
 # Copies of a periodic domain that are looked at beside it, in voxels; the most a walk skips.
 _PERIODIC_MARGIN = 32
 _LARGEST_SKIP = 255
+# Optical depth across a voxel's shortest edge; the densest clouds have some 10.
+_LARGEST_VOXEL_DEPTH = 1e5
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,8 @@ class Medium:
 
         Raises
         ------
-        DataError : another shape, a value that is negative or not finite, or above 0 outside of the mask
+        DataError : another shape, a value that is negative, not finite or beyond any cloud's, or
+            above 0 outside of the mask
         """
         if tuple(extinction.shape) != self.scene.grid.shape:
             raise DataError(f"extinction has shape {tuple(extinction.shape)}, the grid {self.scene.grid.shape}")
@@ -115,6 +118,7 @@ class Medium:
         else:
             values = np.ascontiguousarray(extinction, np.float32)
             check_extinction(values)
+            check_depth(values, min(self.scene.grid.spacing))
             if self.mask is not None and values[~self.mask].any():
                 raise DataError("extinction is above 0 outside of the mask: set it to 0 there, or widen the mask")
             beta = self._array.to_device(self.device.queue, values)
@@ -156,6 +160,17 @@ def check_extinction(values: np.ndarray) -> None:
     if wrong.any():
         voxel = tuple(int(i) for i in np.unravel_index(np.argmax(wrong), values.shape))
         raise DataError(f"extinction at voxel {voxel} is {values[voxel]}: it must be finite and at least 0 km^-1")
+
+
+def check_depth(values: np.ndarray, edge: float) -> None:
+    """Raises DataError if an optical depth is so large that paths would scatter in one voxel for ever."""
+    voxel = tuple(int(i) for i in np.unravel_index(np.argmax(values), values.shape))
+    depth = float(values[voxel]) * edge
+    if depth > _LARGEST_VOXEL_DEPTH:
+        raise DataError(
+            f"extinction at voxel {voxel} is {values[voxel]:.4g} km^-1, an optical depth of {depth:.3g} across "
+            f"{edge:g} km (at most {_LARGEST_VOXEL_DEPTH:g}): are its unit (km^-1) and the coordinates' (km) right?"
+        )
 
 
 def profiles(scene: Scene) -> np.ndarray:

@@ -102,6 +102,7 @@ CLOUDS = {
     "nan": (with_values("extinction", (1, 2, 3), np.nan), "extinction at voxel (1, 2, 3) is nan: it must be finite"),
     "infinite": (with_values("extinction", (0, 0, 0), np.inf), "extinction at voxel (0, 0, 0) is inf"),
     "negative": (with_values("extinction", (0, 0, 1), -1.0), "extinction at voxel (0, 0, 1) is -1.0"),
+    "beyond any cloud": (with_values("extinction", (1, 1, 1), 1e9), "an optical depth of 1e+08 across 0.1 km (at most"),
     "all zero": (with_values("extinction", ..., 0.0), "zero in every voxel: there is no cloud"),
     "descending": (lambda data: data.isel(z=slice(None, None, -1)), "z must increase"),
     "uneven": (with_values("x", 3, 0.36), "x is not uniform"),
@@ -123,6 +124,11 @@ def test_a_wrong_cloud_is_named(folder, capsys, case):
 SCENES = {
     "sun below the horizon": ("zenith = 30.0", "zenith = 100.0", "sun.zenith must be less than 90, is 100.0"),
     "sun on the horizon": ("zenith = 30.0", "zenith = 90.0", "sun.zenith must be less than 90, is 90.0"),
+    "sun beyond all numbers": (
+        "zenith = 30.0",
+        "zenith = 30.0\nirradiance = 1e308",
+        "sun.irradiance must be less than or equal to 1000000000000, is 1e+308",
+    ),
     "missing key": ("zenith = 30.0", "", "sun.zenith is missing"),
     "misspelt key": ("zenith = 30.0", "zenit = 30.0", "sun.zenit is no known key: did you mean zenith?"),
     "contradictory keys": (
