@@ -37,11 +37,12 @@ class Sun:
     Attributes
     ----------
     zenith, azimuth : where the sun stands, degrees
-    irradiance : on a plane normal to the beam, W m^-2; 1e-12 to 1e12, so that its square is a number
+    irradiance : on a plane normal to the beam, W m^-2
     """
 
     zenith: Annotated[float, Field(ge=0, lt=90)]
     azimuth: Angle = 0.0
+    # Radiances are squared on the way to their standard errors: that must not overflow.
     irradiance: Annotated[float, Field(ge=1e-12, le=1e12)] = 1.0
 
     @property

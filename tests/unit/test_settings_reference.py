@@ -17,4 +17,5 @@ def test_every_key_is_explained():
 
 def test_a_row_has_allowed_values_default_and_unit():
     rows = [line for line in page().splitlines() if line.startswith("| `irradiance`")]
-    assert rows == ["| `irradiance` | number above 0 | `1.0` | on a plane normal to the beam, W m^-2 |"]
+    allowed = "number at least 1e-12, at most 1e+12"
+    assert rows == [f"| `irradiance` | {allowed} | `1.0` | on a plane normal to the beam, W m^-2 |"]
