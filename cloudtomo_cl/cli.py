@@ -37,6 +37,7 @@ views and the scene, so that it can be reconstructed without saying them again."
 RENDER_EXAMPLES = """\
 example:
   cloudtomo render scene.toml --samples 256 --seed 1 --output images.nc --png previews
+  cloudtomo render images.nc --output again.nc      # the same once more, from that file alone
 
 scene.toml:
   [cloud]
@@ -155,7 +156,7 @@ def parser() -> argparse.ArgumentParser:
     mie_command.add_arguments(add("mie", "phase functions of droplets by Mie's theory", *texts, quiet, overwrite))
 
     render = add("render", "compute images of a scene", RENDER, RENDER_EXAMPLES, device, quiet, overwrite, changes)
-    render.add_argument("scene", type=Path, metavar="SCENE.toml")
+    render.add_argument("scene", type=Path, metavar="SCENE.toml", help="or images.nc, to render it again")
     render.add_argument(
         "--samples", type=int, help="photons per pixel, even (default 256); with --target-error the most, on average"
     )
@@ -166,7 +167,7 @@ def parser() -> argparse.ArgumentParser:
         help="instead of a number of photons: render until the pixels' noise (root mean square, relative to the mean "
         "of the view) is so small in every view, for instance 1%%",
     )
-    render.add_argument("--seed", type=_seed, default=0, help="of the random numbers (default 0)")
+    render.add_argument("--seed", type=_seed, help="of the random numbers (default 0)")
     render.add_argument("--output", type=Path, required=True, metavar="FILE", help="the images, netCDF")
     render.add_argument("--png", type=Path, metavar="DIR", help="also previews, one grey scale for all views")
 
@@ -183,7 +184,7 @@ def parser() -> argparse.ArgumentParser:
         RECONSTRUCT_EXAMPLES,
         *(device, quiet, overwrite, changes),
     )
-    reconstruct.add_argument("run", type=Path, metavar="RUN.toml")
+    reconstruct.add_argument("run", type=Path, metavar="RUN.toml", help="or a reconstruction.nc, to recover it again")
     reconstruct.add_argument("--seed", type=_seed, help="of the random numbers (default: [run] seed, or 0)")
     reconstruct.add_argument("--output", type=Path, required=True, metavar="DIR", help="the run folder")
     reconstruct.add_argument(

@@ -18,6 +18,7 @@ from cloudtomo_cl.device import Device, choose_device, list_devices
 from cloudtomo_cl.errors import DataError, DeviceError, Interrupted, SettingsError
 from cloudtomo_cl.flux_command import flux as flux
 from cloudtomo_cl.init_command import init as init
+from cloudtomo_cl.io import is_netcdf
 from cloudtomo_cl.measurements import Measurements
 from cloudtomo_cl.mie_command import mie as mie
 from cloudtomo_cl.provenance import describe_device, source, versions
@@ -75,7 +76,13 @@ def reconstruct(
     overrides: Sequence[str] = (),
 ) -> None:
     """Reconstructs after a run file into a run folder."""
-    from cloudtomo_cl.config import ReconstructSettings, read_reconstruct_settings, stored_scene, views
+    from cloudtomo_cl.config import (
+        ReconstructSettings,
+        read_reconstruct_settings,
+        repeated_reconstruct_settings,
+        stored_scene,
+        views,
+    )
     from cloudtomo_cl.inversion import IterationRecord, check_memory, records
     from cloudtomo_cl.inversion import reconstruct as recover
     from cloudtomo_cl.progress import ReconstructionProgress, duration
@@ -89,8 +96,12 @@ def reconstruct(
     if resumed is None:
         # Without a checkpoint there is nothing that a resume could lose.
         folder.check_new(overwrite or resume)
-    settings: ReconstructSettings = read_reconstruct_settings(run, overrides)
-    measurements, stored = _read_measurements(settings.measurements.file)
+    if is_netcdf(run):
+        measurements, stored = _read_measurements(run)
+        settings: ReconstructSettings = repeated_reconstruct_settings(run, stored, overrides)
+    else:
+        settings = read_reconstruct_settings(run, overrides)
+        measurements, stored = _read_measurements(settings.measurements.file)
     if settings.view is not None:
         try:
             measurements = Measurements(views(settings.view), measurements.images, measurements.standard_errors)
@@ -177,9 +188,17 @@ def reconstruct(
         {
             "source": source(),
             "seed": seed,
+            "device": describe_device(chosen),
+            "versions": versions(),
             "photons": float(last.photons),
             "seconds": last.seconds,
             "state": f"interrupted in {where}" if stop.signal_number else "complete",
+        },
+        measurements,
+        {
+            "scene": stored_scene(scene),
+            "reconstruct": settings.model_dump(mode="json", exclude={"measurements", "truth"}),
+            "seed": seed,
         },
     )
     if stop.signal_number is not None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -234,11 +234,16 @@ class ReconstructSettings(BaseModel):
         for name in ("grid", "sun"):
             if tables.get(name) is None:
                 raise SettingsError(f"{self.measurements.file} does not store [{name}]: add this table to the run file")
-        try:
-            return TypeAdapter(Scene).validate_python(tables)
-        except ValidationError as error:
-            lines = _lines(error, tables, TypeAdapter(Scene).json_schema())
-            raise SettingsError(_text(str(self.measurements.file), lines)) from None
+        return scene_of_tables(self.measurements.file, tables)
+
+
+def scene_of_tables(path: Path, tables: dict[str, Any]) -> Scene:
+    """The scene of what `stored_scene` made, or of tables in its place. SettingsError if it is none."""
+    try:
+        return TypeAdapter(Scene).validate_python(tables)
+    except ValidationError as error:
+        lines = _lines(error, tables, TypeAdapter(Scene).json_schema())
+        raise SettingsError(_text(str(path), lines)) from None
 
 
 def stored_scene(scene: Scene) -> dict[str, Any]:
@@ -273,6 +278,22 @@ def read_reconstruct_settings(path: str | Path, overrides: Sequence[str] = ()) -
             f"{path}: cloud.file is not read by a reconstruction; to compare with a known cloud write [truth] file"
         )
     return _check(path, tables, ReconstructSettings)
+
+
+def repeated_reconstruct_settings(
+    path: Path, stored: Mapping[str, Any], overrides: Sequence[str] = ()
+) -> ReconstructSettings:
+    """The settings of a finished run, from what its own reconstruction.nc keeps; scene and views are there too.
+
+    SettingsError if the file keeps none.
+    """
+    tables = stored.get("reconstruct")
+    if not isinstance(tables, dict):
+        raise SettingsError(f"{path}: keeps no settings of a reconstruction: give a run file, or a reconstruction.nc")
+    kept = {name: tables[name] for name in ("stage", "prior", "optimizer", "run") if tables.get(name) is not None}
+    kept.setdefault("run", {})["seed"] = stored.get("seed", 0)
+    kept["measurements"] = {"file": path.name}
+    return _check(path, with_overrides(kept, overrides), ReconstructSettings)
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

@@ -62,6 +62,15 @@ RAY_FIELDS = {
 }
 
 
+def is_netcdf(path: Path) -> bool:
+    """By the first bytes; what cannot be read is no netCDF file."""
+    try:
+        with open(path, "rb") as file:
+            return file.read(4) in (b"\x89HDF", b"CDF\x01", b"CDF\x02", b"CDF\x05")
+    except OSError:
+        return False
+
+
 def load_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
     """The whole file in memory.
 
@@ -286,6 +295,14 @@ def write_extinction(
     """
     import xarray as xr
 
+    variables, coordinates = _extinction_variables(path, grid, extinction, effective_radius)
+    save_dataset(path, xr.Dataset(variables, coordinates, _attributes(attributes)))
+
+
+def _extinction_variables(
+    path: Any, grid: Grid, extinction: np.ndarray, effective_radius: np.ndarray | None = None
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Variables and coordinates of an extinction, checked."""
     extinction = np.asarray(extinction)
     if extinction.shape != grid.shape:
         raise DataError(f"{path}: extinction has shape {extinction.shape}, the grid {grid.shape}")
@@ -300,7 +317,7 @@ def write_extinction(
     for axis, name in enumerate(AXES):
         centres, half = grid.centres(axis), grid.spacing[axis] / 2
         coordinates[name] = (name, centres, {"units": "km", "bounds": f"{name}_bounds", **standard[name]})
-        coordinates[f"{name}_bounds"] = ((name, "bound"), np.column_stack([centres - half, centres + half]))
+        coordinates[f"{name}_bounds"] = ((name, "bound"), np.column_stack([centres - half, centres + half]), {"units": "km"})
     described = {
         "long_name": "cloud volume extinction coefficient",
         "units": "km-1",
@@ -310,7 +327,7 @@ def write_extinction(
         described = {"long_name": "effective radius of the cloud's droplets", "units": "um"}
         described["standard_name"] = "effective_radius_of_cloud_liquid_water_particles"
         variables["effective_radius"] = (AXES, effective_radius.astype(np.float32), described)
-    save_dataset(path, xr.Dataset(variables, coordinates, _attributes(attributes)))
+    return variables, coordinates
 
 
 def write_measurements(
@@ -318,6 +335,7 @@ def write_measurements(
     measurements: Measurements,
     attributes: Mapping[str, Any] | None = None,
     settings: Mapping[str, Any] | None = None,
+    cloud: tuple[Grid, np.ndarray, np.ndarray | None] | None = None,
 ) -> None:
     """Writes images with the views that they were taken from.
 
@@ -333,10 +351,12 @@ def write_measurements(
     measurements : images and views
     attributes : of the file, text or numbers; mappings are stored as JSON
     settings : of the run that made the images, stored as the JSON attribute `settings`
+    cloud : grid, extinction (km^-1) and effective radius (um, or None) to keep beside the images: what they
+        were rendered from, or what was recovered from them
 
     Raises
     ------
-    DataError : the file cannot be written
+    DataError : the file cannot be written; as `write_extinction`
     """
     import xarray as xr
 
@@ -350,6 +370,7 @@ def write_measurements(
         for index, array in enumerate(arrays):
             radiance[kind, index, : array.shape[0], : array.shape[1]] = array
     dims = ("view", "row", "column")
+    counts = {"height": [view.pixels[1] for view in views], "width": [view.pixels[0] for view in views]}
     variables: dict[str, Any] = {
         "radiance": (dims, radiance[0], {"units": RADIANCE_UNITS, "long_name": "mean radiance of a pixel"}),
         "radiance_standard_error": (
@@ -357,8 +378,8 @@ def write_measurements(
             radiance[1],
             {"units": RADIANCE_UNITS, "long_name": "standard error of the radiance, 0 where unknown"},
         ),
-        "image_height": ("view", [view.pixels[1] for view in views], {"long_name": "rows of the image"}),
-        "image_width": ("view", [view.pixels[0] for view in views], {"long_name": "columns of the image"}),
+        "image_height": ("view", counts["height"], {"units": "1", "long_name": "rows of the image"}),
+        "image_width": ("view", counts["width"], {"units": "1", "long_name": "columns of the image"}),
         "view_type": ("view", np.array([view.type for view in views], dtype=object), {"long_name": "projection"}),
     }
     for name, (extra, unit, long_name) in VIEW_FIELDS.items():
@@ -371,7 +392,13 @@ def write_measurements(
     lists = [view for view in views if isinstance(view, RayView)]
     if lists:
         variables.update(_ray_variables(lists))
-    coordinates = {"axis": ("axis", np.array(AXES, dtype=object))}
+    coordinates: dict[str, Any] = {"axis": ("axis", np.array(AXES, dtype=object))}
+    for name, count in (("view", len(views)), ("row", rows), ("column", columns)):
+        coordinates[name] = (name, np.arange(count, dtype=np.int32), {"units": "1", "long_name": f"{name}, from 0"})
+    if cloud is not None:
+        of_cloud = _extinction_variables(path, *cloud)
+        variables.update(of_cloud[0])
+        coordinates.update(of_cloud[1])
     described = _attributes(attributes)
     if settings is not None:
         described["settings"] = json.dumps(settings, indent=1)

@@ -5,16 +5,19 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 
 from cloudtomo_cl.carving import check_views
 from cloudtomo_cl.device import choose_device
-from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.io import check_output
+from cloudtomo_cl.errors import DataError, SettingsError
+from cloudtomo_cl.io import check_output, is_netcdf
 from cloudtomo_cl.measurements import Measurements
-from cloudtomo_cl.provenance import source
+from cloudtomo_cl.provenance import describe_device, source, versions
+from cloudtomo_cl.scene import Scene
+from cloudtomo_cl.sensors import View
 
 _DEFAULT_SAMPLES = 256
 
@@ -23,7 +26,7 @@ def render(
     scene: Path,
     samples: int | None,
     target_error: float | None,
-    seed: int,
+    seed: int | None,
     output: Path,
     png: Path | None,
     device: str | None,
@@ -31,11 +34,11 @@ def render(
     overwrite: bool,
     overrides: Sequence[str] = (),
 ) -> None:
-    """Renders a scene file into a file of measurements."""
+    """Renders a scene file, or images again, into a file of measurements."""
     from cloudtomo_cl import progress
     from cloudtomo_cl.adaptive import relative_error, render_to_error
-    from cloudtomo_cl.config import read_render_settings, stored_scene, views
-    from cloudtomo_cl.io import read_effective_radius, read_extinction, write_measurements
+    from cloudtomo_cl.config import stored_scene
+    from cloudtomo_cl.io import write_measurements
     from cloudtomo_cl.transport import RadianceOperator
 
     check_output(output, overwrite)
@@ -43,36 +46,43 @@ def render(
         raise DataError(f"{png}: is a file, or lies beneath one: choose another folder for --png")
     if png is not None and not overwrite and any(png.glob("view_*.png")):
         raise DataError(f"{png}: holds previews already: choose another folder, or add --overwrite")
-    settings = read_render_settings(scene, overrides)
-    grid, extinction = read_extinction(settings.cloud.file)
-    described = settings.scene(grid)
-    check_views(described, views(settings.view))
+    described, seen, extinction, radius, made = _to_render(scene, overrides)
+    check_views(described, seen)
+    if samples is None and target_error is None:
+        # Images that are rendered again tell how they were.
+        samples, target_error = made.get("samples"), made.get("target_error")
+    seed = made.get("seed", 0) if seed is None else seed
     chosen = choose_device(device)
-    operator = RadianceOperator(
-        described, views(settings.view), chosen, effective_radius=read_effective_radius(settings.cloud.file)
-    )
+    operator = RadianceOperator(described, seen, chosen, effective_radius=radius)
     console = Console(quiet=quiet)
     start = time.perf_counter()
     if target_error is None:
         count = samples or _DEFAULT_SAMPLES
         with progress.rendering(console, count) as show:
             rendering = operator.render(extinction, count, seed, progress=show)
-        how = {"samples": count}
+        how: dict[str, Any] = {"samples": count}
     else:
         most = {} if samples is None else {"most_photons": float(samples) * len(operator.pixels)}
         with progress.rendering(console, 100, "%") as show:
             rendering = render_to_error(
                 operator, extinction, target_error, seed, **most, progress=lambda share: show(round(100 * share))
             )
-        how = {"target_error": target_error}
+        how = {"target_error": target_error} | ({} if samples is None else {"samples": samples})
     seconds = time.perf_counter() - start
     measurements = Measurements.rendered(operator, rendering)
     photons = rendering.audit.launched
     write_measurements(
         output,
         measurements,
-        {"source": source(), "device": chosen.name, "photons": float(photons), "seconds": seconds},
-        {"scene": stored_scene(described), "cloud_file": settings.cloud.file.name, **how, "seed": seed},
+        {
+            "source": source(),
+            "device": describe_device(chosen),
+            "versions": versions(),
+            "photons": float(photons),
+            "seconds": seconds,
+        },
+        {"scene": stored_scene(described), "cloud_file": made["cloud_file"], **how, "seed": seed},
+        (described.grid, extinction, radius),
     )
     noise = relative_error(operator, rendering)
     for index, (image, error) in enumerate(zip(measurements.images, measurements.standard_errors)):
@@ -89,3 +99,31 @@ def render(
         save_previews(png, measurements)
         white = radiance_limit(measurements)
         console.print(f"previews from 0 (black) to {white:.4g} W m^-2 sr^-1 (white): {png}", soft_wrap=True)
+
+
+def _to_render(
+    path: Path, overrides: Sequence[str]
+) -> tuple[Scene, tuple[View, ...], np.ndarray, np.ndarray | None, dict[str, Any]]:
+    """Scene, views, extinction, effective radius and settings, of a scene file or of images rendered before."""
+    from cloudtomo_cl.config import read_render_settings, scene_of_tables, views
+    from cloudtomo_cl.io import read_effective_radius, read_extinction, read_measurements, read_settings
+    from cloudtomo_cl.overrides import with_overrides
+
+    if not is_netcdf(path):
+        settings = read_render_settings(path, overrides)
+        file = settings.cloud.file
+        grid, extinction = read_extinction(file)
+        return (
+            settings.scene(grid),
+            views(settings.view),
+            extinction,
+            read_effective_radius(file),
+            {"cloud_file": file.name},
+        )
+    stored = read_settings(path)
+    if not isinstance(stored.get("scene"), dict):
+        raise SettingsError(f"{path}: keeps no scene to render again: give a scene file, or images of cloudtomo render")
+    described = scene_of_tables(path, with_overrides(stored["scene"], overrides))
+    _, extinction = read_extinction(path)
+    seen = read_measurements(path).views
+    return described, seen, extinction, read_effective_radius(path), {"cloud_file": path.name, **stored}

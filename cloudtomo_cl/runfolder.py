@@ -3,7 +3,9 @@
     settings.json        all settings, versions of the packages, device, seed
     history.csv          one line for each iteration, written as it goes
     checkpoint.npz       what a resumed run goes on from
-    reconstruction.nc    extinction(x, y, z) in km^-1 and the mask
+    reconstruction.nc    extinction(x, y, z) in km^-1 and the mask, and what repeats the run: images, views, settings
+    modelled.nc          images of the recovered cloud
+    report.html
     figures/*.png
 """
 
@@ -23,7 +25,8 @@ from cloudtomo_cl.checkpoint import Checkpoint, read_checkpoint
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files import written_whole
 from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.io import read_extinction, write_extinction
+from cloudtomo_cl.io import read_extinction, write_extinction, write_measurements
+from cloudtomo_cl.measurements import Measurements
 
 if TYPE_CHECKING:
     from cloudtomo_cl.inversion import IterationRecord
@@ -129,9 +132,15 @@ class RunFolder:
             self._history = None
 
     def write_reconstruction(
-        self, grid: Grid, extinction: np.ndarray, mask: np.ndarray, attributes: Mapping[str, Any]
+        self,
+        grid: Grid,
+        extinction: np.ndarray,
+        mask: np.ndarray,
+        attributes: Mapping[str, Any],
+        measurements: Measurements | None = None,
+        settings: Mapping[str, Any] | None = None,
     ) -> None:
-        """The result: whole, or not at all."""
+        """The result, with the measurements and settings that repeat it: whole, or not at all."""
         import netCDF4
 
         if self._before and not self.started:
@@ -140,10 +149,14 @@ class RunFolder:
                 self._start([field.name for field in fields(self._before[0])])
             self.close()
         with written_whole(self.reconstruction_file) as partial:
-            write_extinction(partial, grid, extinction, attributes)
+            if measurements is None:
+                write_extinction(partial, grid, extinction, attributes)
+            else:
+                write_measurements(partial, measurements, attributes, settings, (grid, extinction, None))
             try:
                 with netCDF4.Dataset(partial, "a") as dataset:
                     variable = dataset.createVariable("mask", "i1", ("x", "y", "z"), zlib=True)
+                    variable.units = "1"
                     variable.long_name = "voxels that the recovery could fill: 1, others 0"
                     variable[:] = mask
             except RuntimeError as error:  # how the netCDF library says that a disk is full

@@ -1,0 +1,92 @@
+"""A run can be repeated from its own output file alone."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from cloudtomo_cl.cli import main
+from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.io import write_extinction
+
+SCENE = """
+[cloud]
+file = "cloud.nc"
+phase_function = { type = "henyey-greenstein", g = 0.5 }
+[sun]
+zenith = 30.0
+[[view]]
+type = "ring"
+target = [0.3, 0.3, 0.3]
+height = 2.0
+radius = 1.0
+count = 3
+field_of_view = 30.0
+pixels = [8, 8]
+"""
+RUN = """
+[measurements]
+file = "images.nc"
+[optimizer]
+step = 0.2
+[[stage]]
+grid = [6, 6, 6]
+samples = 8
+iterations = 3
+"""
+
+
+@pytest.fixture(scope="module")
+def outputs(tmp_path_factory):
+    """images.nc and reconstruction.nc, moved away from everything they were made from."""
+    made, alone = (tmp_path_factory.mktemp(name) for name in ("made", "alone"))
+    extinction = np.zeros((6, 6, 6), np.float32)
+    extinction[2:4, 2:4, 2:5] = 8.0
+    write_extinction(made / "cloud.nc", Grid((6, 6, 6), (0.1, 0.1, 0.1)), extinction)
+    (made / "scene.toml").write_text(SCENE)
+    (made / "run.toml").write_text(RUN)
+    images = str(made / "images.nc")
+    render = ["render", str(made / "scene.toml"), "--samples", "16", "--seed", "3", "--quiet", "--output", images]
+    assert main(render) == 0
+    run = str(made / "run")
+    assert main(["reconstruct", str(made / "run.toml"), "--seed", "4", "--quiet", "--output", run]) == 0
+    for file in (made / "images.nc", made / "run" / "reconstruction.nc"):
+        (alone / file.name).write_bytes(file.read_bytes())
+    return alone
+
+
+def test_images_are_rendered_again_bit_by_bit(outputs, tmp_path):
+    again = tmp_path / "again.nc"
+    assert main(["render", str(outputs / "images.nc"), "--quiet", "--output", str(again)]) == 0
+    with xr.open_dataset(outputs / "images.nc") as first, xr.open_dataset(again) as second:
+        assert np.array_equal(first.radiance, second.radiance, equal_nan=True)
+        assert first.attrs["settings"].split("cloud_file")[0] == second.attrs["settings"].split("cloud_file")[0]
+
+
+def test_a_reconstruction_is_done_again_bit_by_bit(outputs, tmp_path):
+    again = tmp_path / "run"
+    assert main(["reconstruct", str(outputs / "reconstruction.nc"), "--quiet", "--output", str(again)]) == 0
+    first, second = (xr.open_dataset(folder / "reconstruction.nc") for folder in (outputs, again))
+    with first, second:
+        assert np.array_equal(first.extinction, second.extinction) and float(first.extinction.max()) > 0
+
+
+def test_a_scene_can_be_changed_on_the_way(outputs, tmp_path):
+    again = tmp_path / "again.nc"
+    words = ["--quiet", "--output", str(again), "--set", "sun.zenith=60", "--samples", "4"]
+    assert main(["render", str(outputs / "images.nc"), *words]) == 0
+    with xr.open_dataset(again) as dataset:
+        assert '"zenith": 60' in dataset.attrs["settings"] and '"samples": 4' in dataset.attrs["settings"]
+
+
+@pytest.mark.parametrize("name", ["images.nc", "reconstruction.nc"])
+def test_every_number_has_a_unit(outputs, name):
+    with xr.open_dataset(outputs / name) as dataset:
+        # Bounds have the unit of what they bound (CF 7.1).
+        numbers = {name for name in dataset.variables if dataset[name].dtype.kind in "fiu" and "bounds" not in name}
+        assert len(numbers) > 10 and not [name for name in numbers if "units" not in dataset[name].attrs]
+        assert {"source", "settings", "device", "versions", "photons", "Conventions"} <= set(dataset.attrs)
+
+
+def test_what_keeps_no_settings_is_said(outputs, tmp_path, capsys):
+    assert main(["reconstruct", str(outputs / "images.nc"), "--output", str(tmp_path / "run")]) == 2
+    assert "keeps no settings of a reconstruction" in capsys.readouterr().err
