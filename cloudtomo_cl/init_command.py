@@ -79,7 +79,7 @@ _RUN = """\
 # Lines that begin with # are comments: what is optional is there with its default.
 
 [measurements]
-file = {measurements}             # beside this file; `cloudtomo render` makes it, docs/measurements.md tells the format
+file = {measurements}             # beside this file; `cloudtomo render` makes it, docs/howto.md tells the format
 
 {truth}
 """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -24,6 +25,8 @@ from cloudtomo_cl.prior import Prior, PriorOperator
 from cloudtomo_cl.scene import Scene
 from cloudtomo_cl.stages import Stage, automatic_stages, has_settled
 from cloudtomo_cl.transport import RadianceOperator
+
+_LOGGER = logging.getLogger(__name__)
 
 _PATHS_PER_ITERATION = 200_000
 # Beyond any cloud: the optical depth across a voxel at which a descent has diverged.
@@ -269,6 +272,7 @@ class _Run:
             self.checkpoints.take(len(self.history) == 1, index, iteration, checkpoint)
         self.checkpoints.take(True, index, iteration, checkpoint)
         self.stage_ends.append(self.seconds)
+        _LOGGER.info("stage %d of %d ended after %.1f s", index + 1, len(self.stages), self.seconds)
         return descent.estimate()
 
     def _checkpoint(self, index: int, iterations: int, descent: Descent, residual: LaggedResidual) -> Checkpoint:

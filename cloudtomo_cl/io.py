@@ -317,7 +317,7 @@ def _extinction_variables(
     for axis, name in enumerate(AXES):
         centres, half = grid.centres(axis), grid.spacing[axis] / 2
         coordinates[name] = (name, centres, {"units": "km", "bounds": f"{name}_bounds", **standard[name]})
-        coordinates[f"{name}_bounds"] = ((name, "bound"), np.column_stack([centres - half, centres + half]), {"units": "km"})
+        coordinates[f"{name}_bounds"] = ((name, "bound"), np.column_stack([centres - half, centres + half]))
     described = {
         "long_name": "cloud volume extinction coefficient",
         "units": "km-1",
