@@ -21,8 +21,8 @@ FILE may be
             AT3D's files (density, reff) among them
   text      pyshdom's, AT3D's and SHDOM's (liquid water content and effective radius), I3RC's tau with dz beside it
   .npy .mat a three-dimensional array, with --spacing and --units
-Water becomes extinction by 3 LWC / (2 rho r_e). What is written is netCDF with extinction(x, y, z) in km^-1 on
-uniform voxels, and effective_radius in um where it is known."""
+Water becomes extinction by 3 LWC / (2 rho r_e), or by a table of `cloudtomo mie`. What is written is netCDF with
+extinction(x, y, z) in km^-1 on uniform voxels, and effective_radius in um where it is known."""
 
 EXAMPLES = """\
 examples:
@@ -53,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser, seed: Callable[[str], int]) -
     read.add_argument("--time", type=int, metavar="INDEX", help="time step, from 0; -1 is the last")
     read.add_argument("--effective-radius", type=float, metavar="UM", help="of all droplets, um")
     read.add_argument("--droplet-number", type=float, metavar="N", help="cm^-3; gives the radius where no file does")
+    read.add_argument("--droplet-table", type=Path, metavar="FILE", help="Mie table that water becomes extinction by")
     read.add_argument("--layer", type=float, metavar="DZ", help="of uniform layers, km (default: the thinnest)")
 
     change = parser.add_argument_group("to change it, in this order")
@@ -101,12 +102,17 @@ def cloud(
     if output is not None:
         made: dict[str, Any] = {"generator": generate, "seed": seed} if file is None else {"cloud_file": file.name}
         made.update(shape=shape, **reading, **steps)
-        _write(output, volume, {name: value for name, value in made.items() if value is not None})
+        _write(output, volume, {name: _plain(value) for name, value in made.items() if value is not None})
     if png is not None:
         _plot(png, volume)
     if not quiet:
         for name, value in volume.summary().items():
             print(f"{name:<24}{value}")
+
+
+def _plain(value: Any) -> Any:
+    """In the types of JSON."""
+    return value.name if isinstance(value, Path) else value
 
 
 def _read(file: Path, reading: dict[str, Any]) -> CloudVolume:

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from cloudtomo_cl.cloud_volume import CloudVolume, uniform_layers, weighted_mean
-from cloudtomo_cl.droplets import extinction_from_water
+from cloudtomo_cl.droplets import DropletTable, extinction_from_water
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import Grid
 
@@ -66,6 +66,8 @@ class ReadingOptions:
     time : index of the time step, for files with several
     effective_radius : micrometres, where the file has none
     droplet_number : cm^-3, from which the effective radius follows where the file has none
+    droplet_table : file of a Mie table (`cloudtomo mie`) that water becomes extinction by; by default the
+        limit of large droplets
     layer : thickness of the uniform layers that stretched ones become, km; by default the thinnest
     """
 
@@ -76,6 +78,7 @@ class ReadingOptions:
     time: int | None = None
     effective_radius: float | None = None
     droplet_number: float | None = None
+    droplet_table: Path | None = None
     layer: float | None = None
 
 
@@ -147,9 +150,10 @@ def _volume(
                 f"{path}: holds water content but no effective radius, which extinction depends on: "
                 f"add --effective-radius (um) or --droplet-number (cm^-3)"
             )
-        cloudy = field > 0
-        extinction = np.zeros(field.shape)
-        extinction[cloudy] = extinction_from_water(field[cloudy], radius[cloudy])
+        try:
+            extinction = extinction_from_water(field, radius, _droplet_table(options))
+        except DataError as error:
+            raise DataError(f"{path}: {error}") from None
     heights, layers = _above_ground(path, edges[2], extinction)
     extinction = extinction[..., layers]
     fields = [extinction] if radius is None else [extinction, extinction * np.nan_to_num(radius[..., layers])]
@@ -167,6 +171,14 @@ def _volume(
         extinction.astype(np.float32),
         None if radius is None else weighted_mean(fields[1], extinction).astype(np.float32),
     )
+
+
+def _droplet_table(options: ReadingOptions) -> DropletTable | None:
+    if options.droplet_table is None:
+        return None
+    from cloudtomo_cl.phase_files import read_droplet_table
+
+    return read_droplet_table(options.droplet_table)
 
 
 def _known_radius(

@@ -9,8 +9,11 @@ import xarray as xr
 from scipy.io import savemat
 
 from cloudtomo_cl.cloud_files import ReadingOptions, read_cloud
+from cloudtomo_cl.droplets import DropletTable
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.io import write_extinction
+from cloudtomo_cl.phase import TabulatedPhaseFunction
+from cloudtomo_cl.phase_files import write_phase_function
 
 DATA = Path(os.environ.get("CLOUDTOMO_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
 POINTS = [(0, 1, 0, 0.3, 10.0), (2, 0, 1, 0.6, 12.0), (1, 1, 2, 0.1, 15.0)]  # x, y, z, g m^-3, um
@@ -235,3 +238,16 @@ def test_other_files_are_named(tmp_path):
     (tmp_path / "image.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(range(256)))
     with pytest.raises(DataError, match="none of the known kinds"):
         read_cloud(tmp_path / "image.png")
+
+
+def test_a_mie_table_takes_the_place_of_the_limit(tmp_path):
+    angle, values = (0.0, 90.0, 180.0), ((0.25 / np.pi,) * 3,) * 2
+    phase = TabulatedPhaseFunction(angle, values, effective_radius=(5.0, 25.0), single_scattering_albedo=(1.0, 1.0))
+    # 5 % more than the limit at 5 um, none at 25: linear between.
+    efficiency = (2.1, 2.0)
+    table = DropletTable(phase, efficiency, 670.0, 0.1, 1.33, 1e-8)
+    write_phase_function(tmp_path / "table.nc", table)
+    (tmp_path / "cloud.txt").write_text(TEXTS["pyshdom"])
+    cloud = read_cloud(tmp_path / "cloud.txt", ReadingOptions(droplet_table=tmp_path / "table.nc"))
+    ratio = cloud.extinction[0, 1, 0] / expected()[0, 1, 0]
+    assert ratio == pytest.approx(np.interp(10.0, (5, 25), efficiency) / 2, rel=1e-5)
