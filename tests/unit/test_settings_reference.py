@@ -16,6 +16,6 @@ def test_every_key_is_explained():
 
 
 def test_a_row_has_allowed_values_default_and_unit():
-    rows = [line for line in page().splitlines() if line.startswith("| `irradiance`")]
-    allowed = "number at least 1e-12, at most 1e+12"
-    assert rows == [f"| `irradiance` | {allowed} | `1.0` | on a plane normal to the beam, W m^-2 |"]
+    section = page().partition("**`PerspectiveView`**")[2]
+    row = next(line for line in section.splitlines() if line.startswith("| `field_of_view`"))
+    assert row == "| `field_of_view` | number above 0, below 180 | required | degrees, across the image's width |"
