@@ -14,9 +14,9 @@ SOURCE = Path(__file__).with_name("probes.cl").read_text()
 class Probe:
     """Runs probe kernels of one device."""
 
-    def __init__(self, device):
+    def __init__(self, device, features=""):
         self.device = device
-        self.program = device.build(SOURCE)
+        self.program = device.build(features + SOURCE)
 
     def buffer(self, values):
         """A copy of an array on the device."""
@@ -49,3 +49,9 @@ def probe_with_narrow_atomics():
     device = choose_device()
     device.accumulation = "32-bit atomics with carry"
     return Probe(device)
+
+
+@pytest.fixture(scope="session")
+def probe_table(device):
+    """With droplets that have a phase table."""
+    return Probe(device, "#define CLOUDTOMO_PHASE_TABLE\n")

@@ -1,14 +1,17 @@
 """Phase functions: densities, their samplers, directions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scenes import TABLE
 from scipy import stats
 
 from cloudtomo_cl import reference_random, reference_scattering
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.layout import scene_struct
 from cloudtomo_cl.medium import profiles
-from cloudtomo_cl.phase import HenyeyGreenstein
+from cloudtomo_cl.phase import DoubleHenyeyGreenstein, HenyeyGreenstein
 from cloudtomo_cl.scene import Cloud, Scene, Sun
 
 GAUSS_LEGENDRE = np.polynomial.legendre.leggauss(200)
@@ -130,6 +133,52 @@ def test_scattered_directions_follow_their_density(probe, random, particle, g):
     shares = distribution(cosine)
     assert stats.chisquare(np.histogram(shares, np.linspace(0, 1, 41))[0]).pvalue > 1e-3
     assert stats.chisquare(np.histogram(azimuth, np.linspace(-np.pi, np.pi, 41))[0]).pvalue > 1e-3
+
+
+def droplets_scattered(probe, phase_function, row, random, count):
+    """Cosines of scattering by droplets and densities, by the kernels, out of a slanted direction."""
+    case = replace(optics(0.0), cloud=Cloud(phase_function=phase_function))
+    numbers = reference_random.open_uniform(random.integers(0, 2**32, (count, 2), dtype=np.uint32))
+    before = np.array([0.48, -0.6, 0.64])
+    found = probe(
+        "probe_scatter", count, scene_struct(case), profiles(case), np.int32(row),
+        np.tile(np.float32(before), (count, 1)), numbers, results=[np.zeros((count, 4), np.float32)],
+    )  # fmt: skip
+    return numbers[:, 0].astype(float), found[:, :3].astype(float) @ before, found[:, 3].astype(float)
+
+
+OTHERS = {
+    "two lobes": (DoubleHenyeyGreenstein(0.85, -0.6, 0.7), 0),
+    "one lobe of two": (DoubleHenyeyGreenstein(0.85, -0.6, 0.0), 0),
+    "table, first row": (TABLE, 0),
+    "table, last row": (TABLE, 2),
+}
+
+
+@pytest.mark.parametrize("phase_function, row", OTHERS.values(), ids=OTHERS)
+def test_cosines_of_other_phase_functions_follow_their_density(probe, probe_table, random, phase_function, row):
+    """Chi-square over 40 bins of equal probability by the density in double precision: significance 1e-3."""
+    chosen = probe_table if phase_function.type == "table" else probe
+    _, cosine, _ = droplets_scattered(chosen, phase_function, row, random, 100_000)
+    grid = np.cos(np.radians(np.linspace(180, 0, 200_001)))
+    density = phase_function.density(grid, row) if phase_function.type == "table" else phase_function.density(grid)
+    shares = np.concatenate([[0], np.cumsum(np.pi * np.diff(grid) * (density[1:] + density[:-1]))])
+    found = np.interp(cosine, grid, shares / shares[-1])
+    assert stats.chisquare(np.histogram(found, np.linspace(0, 1, 41))[0]).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("phase_function, row", OTHERS.values(), ids=OTHERS)
+def test_cosines_and_densities_of_other_phase_functions_are_those_of_the_reference(
+    probe, probe_table, random, phase_function, row
+):
+    case = replace(optics(0.0), cloud=Cloud(phase_function=phase_function))
+    chosen = probe_table if phase_function.type == "table" else probe
+    u, cosine, density = droplets_scattered(chosen, phase_function, row, random, 500)
+    expected = [reference_scattering.sample_droplet(case, row, number) for number in u]
+    np.testing.assert_allclose(cosine, expected, atol=2e-5)
+    expected = [reference_scattering.droplet_density(case, row, c) for c in cosine]
+    # A cosine's rounding of 1e-7 moves the sharpest peak by 1e-4.
+    np.testing.assert_allclose(density, expected, rtol=1e-3)
 
 
 @pytest.mark.parametrize("particle, g", [(DROPLET, 0.85), (DROPLET, -0.5), (MOLECULE, 0.0), (SURFACE, 0.0)])
