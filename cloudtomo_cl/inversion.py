@@ -22,6 +22,7 @@ from cloudtomo_cl.metrics import delta, epsilon
 from cloudtomo_cl.objective import LaggedResidual, relative_weights
 from cloudtomo_cl.optimizer import Descent, Optimizer
 from cloudtomo_cl.prior import Prior, PriorOperator
+from cloudtomo_cl.radiance_field import RadianceField
 from cloudtomo_cl.scene import Scene
 from cloudtomo_cl.stages import Stage, automatic_stages, has_settled
 from cloudtomo_cl.transport import RadianceOperator
@@ -236,6 +237,7 @@ class _Run:
         residual = LaggedResidual(seen.radiance, relative_weights(seen.radiance), optimizer.image_memory)
         prior_operator = PriorOperator(prior, stage.grid, device)
         descent = Descent(optimizer, resample_in_mask(extinction, mask), mask, device)
+        field = RadianceField(operator) if optimizer.gradient == "field" else None
         costs: list[float] = []
         errors: list[float] = []
         iteration = 0
@@ -243,13 +245,15 @@ class _Run:
         if resumed is not None:
             descent.restore(resumed.part("descent"))
             residual.restore(resumed.part("residual"))
+            if field is not None:
+                field.restore(resumed.part("field"))
             records = [record for record in self.history if record.stage == index]
             costs = [record.cost + record.prior for record in records]
             errors = [record.cost_standard_error for record in records]
             iteration = resumed.iterations
 
         def checkpoint() -> Checkpoint:
-            return self._checkpoint(index, iteration, descent, residual)
+            return self._checkpoint(index, iteration, descent, residual, field)
 
         while iteration < stage.iterations and not has_settled(costs, errors, stage.window):
             if self.history and self.is_over:
@@ -258,7 +262,12 @@ class _Run:
             key = len(self.history) + 1
             rendering = operator.render(descent.extinction, samples, self.seed, key, keep_paths=True)
             cost, error = residual.cost(rendering.halves)
-            gradient = operator.gradient(rendering, residual.adjoint(rendering.halves))
+            adjoint = residual.adjoint(rendering.halves)
+            if field is None:
+                gradient = operator.gradient(rendering, adjoint)
+            else:
+                gradient, tangent = field.gradient(rendering, adjoint, descent.change)
+                residual.move(tangent)
             prior_value, prior_gradient = prior_operator.value_and_gradient(descent.extinction, stage.prior_weight)
             gradient = gradient + prior_gradient
             self._check_gradient(index, iteration, gradient)
@@ -275,8 +284,17 @@ class _Run:
         _LOGGER.info("stage %d of %d ended after %.1f s", index + 1, len(self.stages), self.seconds)
         return descent.estimate()
 
-    def _checkpoint(self, index: int, iterations: int, descent: Descent, residual: LaggedResidual) -> Checkpoint:
+    def _checkpoint(
+        self,
+        index: int,
+        iterations: int,
+        descent: Descent,
+        residual: LaggedResidual,
+        field: RadianceField | None,
+    ) -> Checkpoint:
         parts = {"descent": descent.state(), "residual": residual.state()}
+        if field is not None:
+            parts["field"] = field.state()
         state = {f"{part}.{name}": array for part, arrays in parts.items() for name, array in arrays.items()}
         return Checkpoint(
             identity=self.identity,

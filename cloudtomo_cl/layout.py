@@ -64,6 +64,7 @@ FATES = (
 FLUXES = ("REFLECTED", "DIRECT", "DIFFUSE", "ABSORBED")
 WEIGHT_UNIT = 2.0**24
 ACCOUNT_COPIES = 64
+FIELD_UNIT = 2.0**30
 
 
 def _constants() -> str:
@@ -75,6 +76,7 @@ def _constants() -> str:
     lines.append(f"#define FATES {len(FATES)}")
     lines.append(f"#define WEIGHT_UNIT {WEIGHT_UNIT:.1f}f")
     lines.append(f"#define ACCOUNT_COPIES {ACCOUNT_COPIES}")
+    lines.append(f"#define FIELD_UNIT {FIELD_UNIT:.1f}f")
     return "\n".join(lines)
 
 

@@ -80,6 +80,11 @@ class LaggedResidual:
             self._mean - self.measured, self._variance, residuals.mean(axis=1), half_variance / 2, self.weights
         )
 
+    def move(self, change: np.ndarray) -> None:
+        """Takes the remembered image along: what the last step changed, by the tangent, shape (pixels,)."""
+        rate = 1.0 / min(self._iterations, self.memory)
+        self._mean += (1.0 - rate) * change
+
     def adjoint(self, halves: np.ndarray) -> np.ndarray:
         """d F / d halves, shape (pixels, 2); then remembers these halves."""
         self._iterations += 1

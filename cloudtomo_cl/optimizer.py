@@ -22,6 +22,8 @@ class Optimizer:
     Attributes
     ----------
     type : "adam" (Kingma and Ba 2015) or "sgd", plain gradient descent
+    gradient : "field", by the radiance that all paths together find in a voxel (little noise, no
+        1 / extinction), or "replay", the source's score function of each path by itself
     step : ADAM: length of a step in the variable; SGD: factor of the gradient
     variable : "extinction" (km^-1), or its "square-root" (km^-1/2), in which thin voxels take
         smaller steps
@@ -36,6 +38,7 @@ class Optimizer:
     """
 
     type: Literal["adam", "sgd"] = "adam"
+    gradient: Literal["field", "replay"] = "field"
     step: Positive = 0.3
     variable: Literal["extinction", "square-root"] = "square-root"
     start: Positive = 2.0
@@ -70,6 +73,7 @@ class Descent:
         self.extinction = cl_array.to_device(device.queue, np.ascontiguousarray(start, np.float32))
         self.steps = 0
         self._mean = self.extinction.copy()
+        self._before = self.extinction.copy()
         self._mask = cl_array.to_device(device.queue, np.ascontiguousarray(mask, np.uint8))
         self._moments = [cl_array.zeros_like(self.extinction) for _ in range(2 if optimizer.type == "adam" else 0)]
         self._kernel = device.kernel("optimizer", f"{optimizer.type}_step")
@@ -84,6 +88,7 @@ class Descent:
         """All that a step changes, as arrays on the host."""
         moments = {f"moment{order}": moment.get() for order, moment in enumerate(self._moments)}
         own = {"extinction": self.extinction.get(), "mean": self._mean.get(), "steps": np.array(self.steps)}
+        own["before"] = self._before.get()
         return own | moments
 
     @device_errors("restoring the extinction")
@@ -91,13 +96,20 @@ class Descent:
         """Goes on from what `state` gave."""
         self.extinction.set(state["extinction"])
         self._mean.set(state["mean"])
+        self._before.set(state["before"])
         for order, moment in enumerate(self._moments):
             moment.set(state[f"moment{order}"])
         self.steps = int(state["steps"])
 
+    @property
+    def change(self) -> Any:
+        """What the last step changed the extinction by, on the device, km^-1."""
+        return self.extinction - self._before
+
     @device_errors("the descent's step")
     def step(self, gradient: Any) -> None:
         """One step against a gradient on the device, cost per km^-1."""
+        self._before = self.extinction.copy()
         optimizer = self.optimizer
         length = optimizer.step / (1 + self.steps / optimizer.halving) if optimizer.halving else optimizer.step
         self.steps += 1

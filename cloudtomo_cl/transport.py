@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -23,7 +23,7 @@ Estimator = Literal["side-flights", "plain"]
 # Units of the fixed-point gradient per sr^-1 km deposited under the largest adjoint: rounding is
 # far below the deposits that matter (about 1e-6), and a voxel's sum of them over all paths of a
 # gradient may reach 2^31 before it overflows.
-_FIXED_POINT_SCALE = 2.0**32
+FIXED_POINT_SCALE = 2.0**32
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,19 @@ class Rendering:
     audit: Audit
     _medium: Field = field(repr=False)
     _launches: list[tuple[int, Any]] = field(repr=False, default_factory=list)
+
+
+@dataclass(frozen=True)
+class KeptLaunch:
+    """Paths of a rendering that are walked again together."""
+
+    paths: int
+    _pace: Pace
+    _arguments: tuple[Any, ...]
+
+    def run(self, kernel: Any, *arguments: Any) -> None:
+        """Runs a kernel on them; its own arguments come after those of all walks."""
+        self._pace.launch(kernel, self.paths, *self._arguments, *arguments)
 
 
 class RadianceOperator:
@@ -115,6 +128,8 @@ class RadianceOperator:
             scene, self.device, effective_radius, self.estimator == "side-flights", truncation or np.inf, mask
         )
         # Views from afar look through all of the atmosphere.
+        self.mask = mask
+        self.features = self._medium.features
         self._views = self.device.constant(view_structs(self.views, scene.grid, scene.top))
         self._rays = self.device.constant(ray_array(self.views, scene))
         self._pixels = self.device.constant(self.pixels)
@@ -260,14 +275,24 @@ class RadianceOperator:
         if not np.isfinite(largest):
             raise DataError("adjoint is not finite")
         if largest > 0:
-            factors = self.device.constant((adjoint * (_FIXED_POINT_SCALE / largest)).astype(np.float32))
-            for first, paths in rendering._launches:
-                arguments = self._arguments(
-                    rendering._medium, first, paths.size, rendering.seed, rendering.iteration
-                )
-                self._pace.launch(self._replay_paths, paths.size, *arguments, paths.data, factors, total.data)
-        scale = largest / _FIXED_POINT_SCALE * self.scene.sun.irradiance / (rendering.samples // 2)
+            factors = self.device.constant((adjoint * (FIXED_POINT_SCALE / largest)).astype(np.float32))
+            for launch in self.kept_launches(rendering):
+                launch.run(self._replay_paths, factors, total.data)
+        scale = largest / FIXED_POINT_SCALE * self.scene.sun.irradiance / (rendering.samples // 2)
         return total.astype(np.float32) * np.float32(scale)
+
+    def kept_launches(self, rendering: Rendering) -> Iterator[KeptLaunch]:
+        """The launches of a rendering that kept its paths, for kernels to walk them again.
+
+        Raises
+        ------
+        DataError : the rendering did not keep its paths
+        """
+        if not rendering._launches:
+            raise DataError("this rendering kept no paths: render with keep_paths=True")
+        for first, paths in rendering._launches:
+            given = self._arguments(rendering._medium, first, paths.size, rendering.seed, rendering.iteration)
+            yield KeptLaunch(paths.size, self._pace, (*given, paths.data))
 
     def images(self, values: np.ndarray) -> list[np.ndarray]:
         """Values per pixel as one image (rows, columns) per view; NaN where no pixel is."""

@@ -69,9 +69,8 @@ inline bool fly_outside(const Medium *medium, Ray *ray, float reach, float limit
 #endif
 
 /* Flies along the ray until it has crossed the optical depth `reach` (a collision) or left all
- * that scatters; moves the ray there. `carried` is the radiance that depends on this flight,
- * sr^-1. */
-inline Flight fly(const Medium *medium, Ray *ray, float reach, float carried, Record *record)
+ * that scatters; moves the ray there. `carried` is what its crossings deposit. */
+inline Flight fly(const Medium *medium, Ray *ray, float reach, Carried carried, Record *record)
 {
     const __constant Scene *scene = medium->scene;
     Flight flight = {false, false, false, 0.0f, 0.0f, 0.0f, -1};
@@ -98,7 +97,7 @@ inline Flight fly(const Medium *medium, Ray *ray, float reach, float carried, Re
         const float depth = flight.depth + extinction * length;
         if (depth >= reach) {
             const float part = fmin((reach - flight.depth) / extinction, length);
-            DEPOSIT_CROSSING(walk.index, part, carried);
+            deposit_crossing(record, walk.index, part, carried);
             move_to_walk(scene, ray, &walk, walk.distance + part);
             flight.collided = true;
             flight.depth = reach;
@@ -107,7 +106,7 @@ inline Flight fly(const Medium *medium, Ray *ray, float reach, float carried, Re
             flight.index = walk.index;
             return flight;
         }
-        DEPOSIT_CROSSING(walk.index, length, carried);
+        deposit_crossing(record, walk.index, length, carried);
         flight.depth = depth;
         bool goes_on;
         const int clear = extinction == 0.0f && scene->skips_clear ? medium->clear[walk.index] : 0;

@@ -6,7 +6,7 @@
  * radiance known, and every crossing and collision deposits its share of the gradient: a crossing
  * of voxel v over l km on the way to radiance R adds -l R, a collision with a droplet there adds
  * R / extinction (the supplement's Eqs. 13, 17, 18 with sums swapped; path replay, Vicini et al.
- * 2021). Compiled with CLOUDTOMO_FLUX, the path is a photon that starts in the sun; no local
+ * 2021). CLOUDTOMO_FIELD does so in another way: field.cl. Compiled with CLOUDTOMO_FLUX, the path is a photon that starts in the sun; no local
  * estimates are made, and what it leaves behind is tallied by column.
  *
  * Radiances inside a path are for a sun of irradiance 1; the host scales them.
@@ -16,6 +16,10 @@
 
 #include "rng.h"
 #include "camera.h"
+#ifdef CLOUDTOMO_FIELD
+#include "phase.h"
+#include "directions.h"
+#endif
 #include "flight.h"
 
 /* Paths lighter than this are continued with probability weight / PATH_ROULETTE_WEIGHT. */
@@ -41,23 +45,23 @@ inline float local_estimate(const Medium *medium, const Ray *at, float weight, f
     Ray ray = *at;
     ray.direction = sun_direction(medium->scene);
     const float reach = threshold > 0.0f ? log(weight / least) : INFINITY;
-    const Flight flight = fly(medium, &ray, reach, 0.0f, record);
+    const Flight flight = fly(medium, &ray, reach, nothing_carried(), record);
     const float radiance = flight.collided ? 0.0f : fmax(weight * exp(-flight.depth), threshold);
     const float kept = fmin(radiance, medium->scene->truncation);
     record->removed += radiance - kept;
     return kept;
 }
 
-/* In a replay: deposits the crossings of the way to the sun. A truncated radiance does not
- * depend on them. */
+/* Where derivatives are wanted: deposits the crossings of the way to the sun. A truncated radiance
+ * does not depend on them. */
 inline void deposit_local_estimate(const Medium *medium, const Ray *at, float radiance, Record *record)
 {
-#ifdef CLOUDTOMO_REPLAY
+#if defined(CLOUDTOMO_REPLAY) || defined(CLOUDTOMO_FIELD)
     if (radiance == 0.0f || radiance >= medium->scene->truncation)
         return;
     Ray ray = *at;
     ray.direction = sun_direction(medium->scene);
-    fly(medium, &ray, INFINITY, radiance, record);
+    fly(medium, &ray, INFINITY, carried_to_sun(radiance), record);
 #endif
 }
 
@@ -81,23 +85,31 @@ inline void side_flights(const Medium *medium, const Ray *at, Particle particle,
             continue;
         const Ray start = ray;
         const float reach = -log(v.x);
-        const Flight flight = fly(medium, &ray, reach, 0.0f, record);
+        const float share = density / (density + count * sun_density(medium, ray.direction));
+#ifdef CLOUDTOMO_FIELD
+        Ray crossing = start;
+        Carried carried = nothing_carried();
+        carried.importance = weight * share;
+        carried.sun_density = sun_density(medium, ray.direction);
+        carried.bin = direction_bin(ray.direction);
+        fly(medium, &crossing, reach, carried, record);
+#endif
+        const Flight flight = fly(medium, &ray, reach, nothing_carried(), record);
         if (!flight.collided)
             continue;
         float albedo;
         const Particle target = choose_particle(medium, flight.droplets, flight.air, flight.index, v.y, w.y, &albedo);
-        const float estimate = weight * albedo * density * scatter_density(medium, target, ray.direction, sun)
-                               / (density + count * sun_density(medium, ray.direction));
+        const float estimate = weight * albedo * share * scatter_density(medium, target, ray.direction, sun);
         const float radiance = local_estimate(medium, &ray, estimate, LOCAL_ESTIMATE_ROULETTE, w.x, record);
 #ifdef CLOUDTOMO_REPLAY
         if (radiance > 0.0f) {
             Ray again = start;
             fly(medium, &again, reach, radiance, record);
             if (target >= 0)
-                DEPOSIT_COLLISION(flight.index, flight.droplets, radiance);
-            deposit_local_estimate(medium, &ray, radiance, record);
+                deposit_collision(record, flight.index, flight.droplets, radiance);
         }
 #endif
+        deposit_local_estimate(medium, &ray, radiance, record);
         record->radiance += radiance;
     }
 }
@@ -135,14 +147,26 @@ inline void trace_path(const Medium *medium, Ray ray, const SampleKey *key, Reco
     for (uint event = 1u;; ++event) {
         const float4 u = uniforms(key, event * BLOCKS_PER_EVENT + BLOCK_EVENT);
         const float4 v = uniforms(key, event * BLOCKS_PER_EVENT + BLOCK_ROULETTE);
-        const float carried = remaining(record);
-        const Flight flight = fly(medium, &ray, -log(u.x), carried, record);
+        const float reach = -log(u.x);
+#ifdef CLOUDTOMO_FIELD
+        /* What a flight brings is known at its end: it is flown again, to deposit. */
+        Ray start = ray;
+        Carried carried = nothing_carried();
+        const Flight flight = fly(medium, &ray, reach, carried, record);
+        carried.importance = own_share * weight;
+        carried.sun_density = sun_density(medium, start.direction);
+        carried.bin = direction_bin(start.direction);
+        carried.weight = weight;
+#else
+        const Carried carried = remaining(record);
+        const Flight flight = fly(medium, &ray, reach, carried, record);
+#endif
         Particle particle;
         float albedo;
         if (flight.collided) {
             particle = choose_particle(medium, flight.droplets, flight.air, flight.index, u.y, v.w, &albedo);
             if (particle >= 0)
-                DEPOSIT_COLLISION(flight.index, flight.droplets, carried);
+                deposit_collision(record, flight.index, flight.droplets, carried);
             account_absorbed(record, weight * (1.0f - albedo));
             tally_column(scene, record, FLUX_ABSORBED, ray.position, weight * (1.0f - albedo));
         } else {
@@ -152,6 +176,9 @@ inline void trace_path(const Medium *medium, Ray ray, const SampleKey *key, Reco
             if (fate == FATE_BOTTOM)
                 tally_column(scene, record, event == 1u ? FLUX_DIRECT : FLUX_DIFFUSE, ray.position, weight);
             if (fate == FATE_LOST || !reach_surface(scene, &ray)) {
+#ifdef CLOUDTOMO_FIELD
+                fly(medium, &start, reach, carried, record);
+#endif
                 account_end(record, fate, weight);
                 return;
             }
@@ -170,6 +197,10 @@ inline void trace_path(const Medium *medium, Ray ray, const SampleKey *key, Reco
                                               roulette ? LOCAL_ESTIMATE_ROULETTE : 0.0f, v.x, record);
         deposit_local_estimate(medium, &ray, radiance, record);
         record->radiance += radiance;
+#endif
+#ifdef CLOUDTOMO_FIELD
+        carried.arriving = radiance / own_share + remaining(record);
+        fly(medium, &start, reach, carried, record);
 #endif
 
         if (weight < PATH_ROULETTE_WEIGHT) {

@@ -1,0 +1,190 @@
+"""The field of radiance inside a cloud, and the gradient that it gives."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.layout import FIELD_UNIT
+from cloudtomo_cl.phase import PhaseFunction
+from cloudtomo_cl.transport import FIXED_POINT_SCALE, RadianceOperator, Rendering
+
+# Rings of directions around the vertical, degrees from it, and their azimuths: cells of about
+# 0.17 sr, smaller near the vertical.
+_EDGES = (0.0, 8.0, 16.0, 28.0, 42.0, 60.0, 80.0, 100.0, 125.0, 150.0, 180.0)
+_AZIMUTHS = (1, 4, 6, 8, 10, 12, 12, 10, 8, 4)
+_FIRST = tuple(int(first) for first in np.concatenate([[0], np.cumsum(_AZIMUTHS)[:-1]]))
+BINS = sum(_AZIMUTHS)
+_FEATURES = (
+    f"DIRECTION_RINGS {len(_AZIMUTHS)}",
+    f"DIRECTION_BINS {BINS}",
+    "RING_COSINES " + ", ".join(f"{np.cos(np.radians(edge)):.8f}f" for edge in _EDGES),
+    "RING_AZIMUTHS " + ", ".join(map(str, _AZIMUTHS)),
+    "RING_FIRSTS " + ", ".join(map(str, _FIRST)),
+)
+# Points in each cell of directions over which phase functions are averaged.
+_POINTS = 12
+# A cell with less than so many crossings of a voxel leans on its neighbours'; one without any
+# neighbour on the mean of all voxels.
+_OWN_CROSSINGS, _NEIGHBOUR_CROSSINGS = 5.0, 0.05
+# After so many gradients the table is made anew, and what it held before fades.
+_FADING = 0.7
+_REFRESH = 4
+
+
+class RadianceField:
+    """A table of the diffuse radiance by voxel and direction, and gradients by it.
+
+    Parameters
+    ----------
+    operator : with a mask, whose voxels the field covers
+
+    Source: the derivative of the equation of transfer with respect to the extinction is a source
+    of (source function - radiance), weighted with the adjoint (Martin, Cairns and Bal 2014, "Adjoint
+    methods for adjusting three-dimensional atmosphere and surface properties to fit multi-angle/
+    multi-pixel polarimetric measurements"; Levis et al. 2020 drop a part of it); here the adjoint is
+    sampled by the cameras' paths, exactly, and the radiance by the table they fill.
+    """
+
+    def __init__(self, operator: RadianceOperator) -> None:
+        import pyopencl.array
+
+        if operator.mask is None:
+            raise DataError("a radiance field needs the mask of its operator: give one, for instance of ones")
+        self._operator = operator
+        self._array = pyopencl.array
+        device, mask = operator.device, operator.mask
+        self._mask = mask
+        self.columns = int(mask.sum())
+        column = np.full(mask.shape, -1, np.int32)
+        column[mask] = np.arange(self.columns)
+        self._column = device.constant(column)
+        self._voxel = device.constant(np.flatnonzero(mask).astype(np.int32))
+        features = (*operator.features, *_FEATURES)
+        self._field_paths = device.kernel("field", "field_paths", features)
+        self._direct_sunlight = device.kernel("field", "direct_sunlight", features)
+        cloud = operator.scene.cloud
+        self._albedo = cloud.single_scattering_albedo
+        self._scattering = scattering_matrix(cloud.phase_function)
+        self._table = np.zeros((self.columns, BINS, 2), np.float32)  # km, sr^-1 km
+        queue = device.queue
+        self._field = pyopencl.array.zeros(queue, (self.columns, BINS, 2), np.int64)
+        self._scattered = pyopencl.array.zeros(queue, (self.columns, BINS), np.float32)
+        self._sunlight = pyopencl.array.zeros(queue, self.columns, np.float32)
+        self._gradients = 0
+
+    def gradient(self, rendering: Rendering, adjoint: np.ndarray, change: Any) -> tuple[Any, np.ndarray]:
+        """The gradient of a cost with respect to extinction; as `RadianceOperator.gradient`.
+
+        Parameters
+        ----------
+        change : of the extinction, km^-1, shape of the grid, on the device
+
+        Returns
+        -------
+        gradient : on the device, float32, shape of the grid, cost per km^-1; 0 outside of the mask
+        tangent : derivative of each pixel's radiance along the change, W m^-2 sr^-1, shape (pixels,)
+
+        The rendering's paths go into the table for the gradients after
+        this one; before the first, they fill it.
+        """
+        if self._gradients == 0:
+            self._walk(rendering, np.zeros_like(adjoint), change)
+        if self._gradients % _REFRESH == 0:
+            self._refresh(rendering)
+        self._gradients += 1
+        return self._walk(rendering, adjoint, change)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that a gradient changes, as arrays on the host."""
+        arrays = {"field": self._field, "scattered": self._scattered, "sunlight": self._sunlight}
+        own = {"table": self._table.copy(), "gradients": np.array(self._gradients)}
+        return own | {name: array.get() for name, array in arrays.items()}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Goes on from what `state` gave."""
+        self._table = state["table"].copy()
+        self._gradients = int(state["gradients"])
+        for name, array in (("field", self._field), ("scattered", self._scattered), ("sunlight", self._sunlight)):
+            array.set(state[name])
+
+    def _walk(self, rendering: Rendering, adjoint: np.ndarray, change: Any) -> tuple[Any, np.ndarray]:
+        operator = self._operator
+        total = self._array.zeros(operator.device.queue, operator.scene.grid.shape, np.int64)
+        largest = float(np.abs(adjoint).max())
+        if not np.isfinite(largest):
+            raise DataError("adjoint is not finite")
+        scale = FIXED_POINT_SCALE / largest if largest > 0 else 0.0
+        factors = operator.device.constant((adjoint * scale).astype(np.float32))
+        tangent = np.zeros(len(operator.pixels))
+        for launch in operator.kept_launches(rendering):
+            paths = self._array.empty(operator.device.queue, launch.paths, np.float32)
+            launch.run(
+                self._field_paths, factors, self._column, self._scattered.data, self._sunlight.data, change.data,
+                total.data, paths.data, self._field.data,
+            )  # fmt: skip
+            tangent += paths.get().reshape(-1, len(operator.pixels)).sum(axis=0, dtype=float)
+        irradiance = operator.scene.sun.irradiance
+        unit = largest / FIXED_POINT_SCALE * irradiance / (rendering.samples // 2)
+        return total.astype(np.float32) * np.float32(unit), tangent * irradiance / rendering.samples
+
+    def _refresh(self, rendering: Rendering) -> None:
+        """Makes source and radiance anew from what paths have brought, at a rendering's extinction."""
+        self._table *= _FADING
+        self._table += self._field.get() / np.float32(FIELD_UNIT)
+        self._field.fill(0)
+        radiance = self._radiance()
+        scattered = self._albedo * (radiance @ self._scattering.T) - radiance
+        self._scattered.set(scattered.astype(np.float32))
+        medium = rendering._medium
+        self._operator.device.launch(
+            self._direct_sunlight, self.columns, medium.struct, *medium.arguments, self._voxel,
+            np.uint32(self.columns), self._sunlight.data,
+        )  # fmt: skip
+        self._sunlight *= np.float32(self._albedo)
+
+    def _radiance(self) -> np.ndarray:
+        """Radiance by voxel and direction, sr^-1: its own cell's, as far as it is known."""
+        from scipy.ndimage import uniform_filter
+
+        edge = float(np.mean(self._operator.scene.grid.spacing))
+        length, brought = self._table[..., 0], self._table[..., 1]
+        everywhere = brought.sum(axis=0) / np.maximum(length.sum(axis=0), 1e-30)
+        full = np.zeros((*self._mask.shape, BINS * 2), np.float32)
+        full[self._mask] = self._table.reshape(self.columns, -1)
+        near = uniform_filter(full, (3, 3, 3, 1), mode="constant")[self._mask].reshape(self.columns, BINS, 2) * 27
+        least = _NEIGHBOUR_CROSSINGS * edge
+        neighbours = (near[..., 1] + least * everywhere) / (near[..., 0] + least)
+        # A voxel's own brightness, which its neighbours need not have.
+        expected, found = (length * neighbours).sum(axis=1), brought.sum(axis=1)
+        lit = expected[expected > 0]
+        level = 0.3 * np.median(lit) if len(lit) else 1.0
+        ratio = np.clip((found + level) / (expected + level), 0.05, 10.0)[:, None]
+        own = _OWN_CROSSINGS * edge
+        return (brought + own * ratio * neighbours) / (length + own)
+
+
+@lru_cache
+def scattering_matrix(phase_function: PhaseFunction) -> np.ndarray:
+    """Share of the light from direction bin j that droplets scatter into bin i, per sr of i's own direction.
+
+    Returns an array (bins, bins): the source function in bin i is its sum over j times the radiance in j.
+    """
+    random = np.random.default_rng(0)
+    directions, angles = [], []
+    for ring, count in enumerate(_AZIMUTHS):
+        upper, lower = np.cos(np.radians(_EDGES[ring : ring + 2]))
+        for azimuth in range(count):
+            u = (np.indices((_POINTS, _POINTS)).reshape(2, -1).T + random.random((_POINTS**2, 2))) / _POINTS
+            cosine, phi = lower + (upper - lower) * u[:, 0], 2 * np.pi * (azimuth + u[:, 1]) / count
+            sine = np.sqrt(1 - cosine**2)
+            directions.append(np.column_stack([sine * np.cos(phi), sine * np.sin(phi), cosine]))
+            angles.append((upper - lower) * 2 * np.pi / count)
+    matrix = np.empty((BINS, BINS))
+    for i, first in enumerate(directions):
+        for j, second in enumerate(directions):
+            matrix[i, j] = angles[j] * phase_function.density(np.clip(first @ second.T, -1, 1)).mean()
+    return matrix / matrix.sum(axis=1, keepdims=True)
