@@ -29,7 +29,7 @@ from cloudtomo_cl.transport import RadianceOperator
 
 _LOGGER = logging.getLogger(__name__)
 
-_PATHS_PER_ITERATION = 200_000
+_PATHS_PER_ITERATION = 60_000
 # Beyond any cloud: the optical depth across a voxel at which a descent has diverged.
 _LARGEST_VOXEL_DEPTH = 1000.0
 

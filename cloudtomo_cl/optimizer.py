@@ -28,13 +28,14 @@ class Optimizer:
     variable : "extinction" (km^-1), or its "square-root" (km^-1/2), in which thin voxels take
         smaller steps
     start : extinction inside the mask before the first stage, km^-1
-    floor : least extinction inside the mask, km^-1; the score function needs it above 0
+    floor : least extinction inside the mask, km^-1; the gradient by replay needs it above 0
     decay1, decay2 : of ADAM's moments
     halving : iterations of a stage after which the step is half of what it began with
         (step / (1 + iteration / halving)); none: constant
     averaging : the estimate is a running mean of the extinction over about so many iterations
     image_memory : iterations over which modelled images are averaged into the residual; 1 is
-        the residual of crossed halves
+        the residual of crossed halves. With gradient "field" the images are carried along with the
+        extinction; with "replay" they lag behind, and 20 is better
     """
 
     type: Literal["adam", "sgd"] = "adam"
@@ -46,8 +47,8 @@ class Optimizer:
     decay1: Decay = 0.9
     decay2: Decay = 0.999
     halving: Positive | None = 100.0
-    averaging: Count = 10
-    image_memory: Count = 20
+    averaging: Count = 20
+    image_memory: Count = 100
 
 
 class Descent:

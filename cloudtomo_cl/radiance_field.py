@@ -9,6 +9,7 @@ import numpy as np
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.layout import FIELD_UNIT
+from cloudtomo_cl.memory import require
 from cloudtomo_cl.phase import PhaseFunction
 from cloudtomo_cl.transport import FIXED_POINT_SCALE, RadianceOperator, Rendering
 
@@ -30,6 +31,8 @@ _POINTS = 12
 # A cell with less than so many crossings of a voxel leans on its neighbours'; one without any
 # neighbour on the mean of all voxels.
 _OWN_CROSSINGS, _NEIGHBOUR_CROSSINGS = 5.0, 0.05
+# The table with what is added to it, on host and device, and what smoothing it takes.
+_BYTES_PER_CELL = 60
 # After so many gradients the table is made anew, and what it held before fades.
 _FADING = 0.7
 _REFRESH = 4
@@ -41,6 +44,10 @@ class RadianceField:
     Parameters
     ----------
     operator : with a mask, whose voxels the field covers
+
+    Raises
+    ------
+    DataError : the operator has no mask, or there is not memory enough
 
     Source: the derivative of the equation of transfer with respect to the extinction is a source
     of (source function - radiance), weighted with the adjoint (Martin, Cairns and Bal 2014, "Adjoint
@@ -59,6 +66,11 @@ class RadianceField:
         device, mask = operator.device, operator.mask
         self._mask = mask
         self.columns = int(mask.sum())
+        require(
+            _BYTES_PER_CELL * self.columns * BINS,
+            f"the radiance field of {self.columns} voxels",
+            'choose a smaller mask or grid, or optimizer.gradient = "replay"',
+        )
         column = np.full(mask.shape, -1, np.int32)
         column[mask] = np.arange(self.columns)
         self._column = device.constant(column)
@@ -67,7 +79,9 @@ class RadianceField:
         self._field_paths = device.kernel("field", "field_paths", features)
         self._direct_sunlight = device.kernel("field", "direct_sunlight", features)
         cloud = operator.scene.cloud
-        self._albedo = cloud.single_scattering_albedo
+        # Of a phase table the middle row stands for all: it is what flights to the sun are drawn from.
+        albedos = getattr(cloud.phase_function, "single_scattering_albedo", None) or (cloud.single_scattering_albedo,)
+        self._albedo = albedos[len(albedos) // 2]
         self._scattering = scattering_matrix(cloud.phase_function)
         self._table = np.zeros((self.columns, BINS, 2), np.float32)  # km, sr^-1 km
         queue = device.queue

@@ -30,7 +30,7 @@ class Stage:
     grid : numbers of voxels along x, y, z
     pixels : width and height of the images, as a share of the measured ones
     samples : paths per pixel and iteration, even; by default so many that an iteration has
-        about 200,000 paths
+        about 60,000 paths
     iterations : at most; the stage ends earlier when its cost has stopped falling
     window : the least number of iterations whose mean cost is compared with that of as many
         before

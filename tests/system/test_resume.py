@@ -12,6 +12,7 @@ import pytest
 import cloudtomo_cl as ct
 from cloudtomo_cl.cli import main
 from cloudtomo_cl.errors import DataError, DeviceError, TransportError
+from cloudtomo_cl.radiance_field import RadianceField
 
 STAGES = (
     ct.Stage(grid=(3, 3, 3), pixels=0.5, samples=8, iterations=4),
@@ -48,8 +49,13 @@ def timeless(history):
 
 @pytest.mark.parametrize(
     "optimizer",
-    [ct.Optimizer(), ct.Optimizer(type="sgd", step=5.0, variable="extinction", image_memory=1, averaging=1)],
-    ids=["adam", "sgd"],
+    [
+        ct.Optimizer(),
+        ct.Optimizer(
+            type="sgd", gradient="replay", step=1.0, variable="extinction", image_memory=1, averaging=1
+        ),
+    ],
+    ids=["adam by the field", "sgd by replay"],
 )
 def test_every_checkpoint_leads_to_the_same_bits(problem, device, optimizer, monkeypatch):
     monkeypatch.setattr("cloudtomo_cl.checkpoint._LEAST_WORK", 0.0)
@@ -176,7 +182,7 @@ def read_bits(folder):
 
 def test_a_run_that_fails_goes_on_with_the_same_bits(folder, monkeypatch, capsys):
     assert main([*COMMAND[:-1], "whole"]) == 0
-    original, calls = ct.RadianceOperator.gradient, []
+    original, calls = RadianceField.gradient, []
 
     def fail(self, *arguments):
         calls.append(1)
@@ -184,7 +190,7 @@ def test_a_run_that_fails_goes_on_with_the_same_bits(folder, monkeypatch, capsys
             raise DeviceError("the device fell off the bus")
         return original(self, *arguments)
 
-    monkeypatch.setattr(ct.RadianceOperator, "gradient", fail)
+    monkeypatch.setattr(RadianceField, "gradient", fail)
     assert main(COMMAND) == 2
     message = capsys.readouterr().err
     assert "fell off the bus" in message and "--resume" in message and "checkpoint.npz" in message
@@ -231,15 +237,15 @@ def test_a_resume_that_cannot_be_touches_nothing(folder, capsys, change, message
 
 
 def test_a_gradient_that_is_no_number_names_its_voxel(problem, device, monkeypatch):
-    original = ct.RadianceOperator.gradient
+    original = RadianceField.gradient
 
     def spoilt(self, *arguments):
-        values = original(self, *arguments)
+        values, tangent = original(self, *arguments)
         host = values.get()
         host[1, 2, 0] = np.nan
         values.set(host)
-        return values
+        return values, tangent
 
-    monkeypatch.setattr(ct.RadianceOperator, "gradient", spoilt)
+    monkeypatch.setattr(RadianceField, "gradient", spoilt)
     with pytest.raises(TransportError, match=r"gradient is not finite at voxel \(1, 2, 0\).*stage 0, iteration 0"):
         recover(problem, device)
