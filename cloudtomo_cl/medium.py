@@ -143,15 +143,15 @@ def clear_distances(occupied: np.ndarray, periodic: bool) -> np.ndarray:
     """
     from scipy.ndimage import distance_transform_cdt
 
+    # Beyond the margin nothing is known of a periodic domain's copies, and a walk wraps once at most.
+    margin = _PERIODIC_MARGIN if periodic else 0
+    largest = min(margin, *occupied.shape[:2]) if periodic else _LARGEST_SKIP
     if not occupied.any():
-        return np.full(occupied.shape, _LARGEST_SKIP, np.uint8)
-    if not periodic:
-        return np.minimum(distance_transform_cdt(~occupied), _LARGEST_SKIP).astype(np.uint8, order="C")
-    margin = _PERIODIC_MARGIN
+        return np.full(occupied.shape, largest, np.uint8)
     padded = np.pad(occupied, ((margin, margin), (margin, margin), (0, 0)), mode="wrap")
-    distances = distance_transform_cdt(~padded)[margin:-margin, margin:-margin]
-    # Beyond the margin nothing is known, and a walk wraps round the domain once at most.
-    return np.clip(distances, 0, min(margin, *occupied.shape[:2])).astype(np.uint8, order="C")
+    nx, ny, _ = occupied.shape
+    distances = distance_transform_cdt(~padded)[margin : margin + nx, margin : margin + ny]
+    return np.minimum(distances, largest).astype(np.uint8, order="C")
 
 
 def check_extinction(values: np.ndarray) -> None:

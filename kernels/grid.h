@@ -170,7 +170,7 @@ inline bool walk_skip(const __constant Scene *scene, VoxelWalk *walk, int clear)
     const int3 crossed = select((int3)(0), convert_int3((exit - walk->next) / walk->per_voxel) + 1, walk->next <= exit);
     walk->next += select((float3)(0.0f), convert_float3(crossed) * walk->per_voxel, crossed > 0);
     walk->voxel += crossed * walk->step;
-    if (scene->periodic) {
+    if (scene->periodic) { /* the host has seen to it that `clear` is no more than the domain */
         walk->voxel.x = (walk->voxel.x + scene->shape[0]) % scene->shape[0];
         walk->voxel.y = (walk->voxel.y + scene->shape[1]) % scene->shape[1];
     }

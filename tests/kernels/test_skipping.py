@@ -34,6 +34,12 @@ def test_distances_are_those_to_the_nearest_occupied_voxel(random, periodic):
         assert found[voxel] == min(apart.max(axis=1).min(), 5 if periodic else 255)
 
 
+def test_walks_through_a_clear_periodic_domain_wrap_once_at_most():
+    assert clear_distances(np.zeros((2, 7, 40), bool), True).max() == 2
+    assert clear_distances(np.zeros((40, 70, 5), bool), True).max() == 32
+    assert clear_distances(np.zeros((2, 7, 40), bool), False).min() == 255
+
+
 @pytest.mark.parametrize("horizontal", ["open", "periodic"])
 @pytest.mark.parametrize("zenith", [0, 65])
 def test_paths_are_the_same_with_and_without(device, sparse, horizontal, zenith):
