@@ -59,8 +59,8 @@ def automatic_stages(grid: Grid) -> tuple[Stage, ...]:
         shape = tuple(min(n, max(4, round(n * share))) for n in grid.shape)
         last = share == shares[-1]
         pixels = min(1.0, 2 * share)
-        # The last stage has the details to find, which show little in the cost.
-        stages.append(Stage(grid=shape, pixels=pixels, iterations=600 if last else 100, window=60 if last else 20))
+        # The last stage has the details to find, which show little in the cost: it is not given up early.
+        stages.append(Stage(grid=shape, pixels=pixels, iterations=600 if last else 100, window=200 if last else 20))
     return tuple(stages)
 
 
