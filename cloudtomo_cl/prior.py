@@ -29,7 +29,7 @@ class Prior:
     threshold : km^-1
     """
 
-    smoothness: NotNegative = 1e-4
+    smoothness: NotNegative = 5e-5
     monotonicity: NotNegative = 0.0
     c1: Positive = 0.2
     c2: Positive = 0.05

@@ -204,7 +204,7 @@ def spoil_netcdf(path: Path, rng: random.Random) -> None:
         elif what == 5 and variable.size and variable.dtype.kind in "fiu":
             factor = rng.choice([0, -1, 1e3, 1e30, 1e-30, np.nan])
             data[name] = (variable.dims, variable.values * factor, variable.attrs)
-        elif what == 6:
+        elif what == 6 and variable.dtype.kind in "fiub":
             kind = rng.choice(["U", "i8", "i2", "?", "f4"])
             with np.errstate(all="ignore"):
                 values = variable.values.astype(kind)
