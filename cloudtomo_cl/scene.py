@@ -18,6 +18,8 @@ from cloudtomo_cl.phase import HenyeyGreenstein, PhaseFunction
 Fraction = Annotated[float, Field(ge=0, le=1)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+# Far beyond any air; above, paths would scatter in one voxel for ever.
+_AirExtinction = Annotated[float, Field(ge=0, le=1e4)]
 Angle = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -90,7 +92,7 @@ class Air:
         (`rayleigh_optical_depth`, falling with a scale height of 8 km)
     """
 
-    extinction: NotNegative | Annotated[tuple[NotNegative, ...], Field(min_length=1)] | None = None
+    extinction: _AirExtinction | Annotated[tuple[_AirExtinction, ...], Field(min_length=1)] | None = None
     single_scattering_albedo: Fraction = 1.0
     levels: Annotated[tuple[NotNegative, ...], Field(min_length=2)] | None = None
     wavelength: Annotated[float, Field(ge=250, le=4000)] | None = None

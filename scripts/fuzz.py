@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import collections
 import contextlib
+import copy
 import io
 import json
 import os
@@ -120,11 +121,13 @@ def spoilt_settings(tables: dict[str, Any], rng: random.Random) -> bytes:
                 container.pop(name)
             )
         elif what == 2:
-            container[name] = rng.choice(OTHERS)
+            container[name] = copy.deepcopy(rng.choice(OTHERS))
         elif what == 3 and isinstance(container[name], list):
             container[name] = container[name] * rng.choice([2, 3, 1000])
         elif what == 4 and isinstance(container, dict):
-            container[rng.choice(["extra", "file", "type", "zenith", "g", "position"])] = rng.choice(OTHERS + NUMBERS)
+            container[rng.choice(["extra", "file", "type", "zenith", "g", "position"])] = copy.deepcopy(
+                rng.choice(OTHERS + NUMBERS)
+            )
         else:
             container[name] = rng.choice(NUMBERS)
         if not tables:

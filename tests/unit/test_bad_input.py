@@ -129,6 +129,11 @@ SCENES = {
         "zenith = 30.0\nirradiance = 1e308",
         "sun.irradiance must be less than or equal to 1000000000000, is 1e+308",
     ),
+    "air beyond any air": (
+        "[sun]",
+        "[air]\nextinction = 1e30\n[sun]",
+        "air.extinction must be less than or equal to 10000, is 1e+30",
+    ),
     "missing key": ("zenith = 30.0", "", "sun.zenith is missing"),
     "misspelt key": ("zenith = 30.0", "zenit = 30.0", "sun.zenit is no known key: did you mean zenith?"),
     "contradictory keys": (
