@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from cloudtomo_cl.droplets import DropletTable
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files import written_whole
-from cloudtomo_cl.io import CONVENTIONS, load_dataset
+from cloudtomo_cl.netcdf import CONVENTIONS, load_dataset
 from cloudtomo_cl.phase import TabulatedPhaseFunction
 
 if TYPE_CHECKING:
