@@ -90,7 +90,7 @@ class Checkpoint:
         header = {name: value for name, value in vars(self).items() if name != "state"}
         text = json.dumps({"format": FORMAT, **header}).encode()
         with written_whole(path) as partial, open(partial, "wb") as file:
-            np.savez(file, header=np.frombuffer(text, np.uint8), **self.state)
+            np.savez(file, header=np.frombuffer(text, np.uint8), **self.state)  # type: ignore[arg-type]  # no array is named allow_pickle
 
 
 def read_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
@@ -158,7 +158,7 @@ def _shortened(value: Any) -> Any:
 
 
 def _digest(array: np.ndarray) -> str:
-    return _DIGEST + hashlib.sha256(np.ascontiguousarray(array)).hexdigest()
+    return _DIGEST + hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()
 
 
 def _differences(old: Any, new: Any, key: str = "") -> list[str]:

@@ -65,7 +65,7 @@ class Fluxes:
         return self._of(("DIRECT", "DIFFUSE") if name == "transmitted" else (name.upper(),), mean=True)
 
     def _of(self, names: tuple[str, ...], mean: bool) -> Estimate:
-        batches = sum(self._batches[:, FLUXES.index(name)] for name in names)
+        batches = self._batches[:, [FLUXES.index(name) for name in names]].sum(axis=1)
         return _estimate(batches.mean(axis=(1, 2)) if mean else batches)
 
 

@@ -51,8 +51,9 @@ class Grid:
 
     def with_shape(self, shape: Sequence[int]) -> Grid:
         """The same domain in other voxels."""
-        spacing = tuple(e / n for e, n in zip(self.extent, shape))
-        return Grid(shape=tuple(shape), spacing=spacing, origin=self.origin)
+        nx, ny, nz = shape
+        width, depth, height = self.extent
+        return Grid(shape=(nx, ny, nz), spacing=(width / nx, depth / ny, height / nz), origin=self.origin)
 
 
 def overlap_matrix(count: int, count_new: int) -> np.ndarray:

@@ -93,7 +93,7 @@ def check_output(path: Path, overwrite: bool) -> None:
 
 def save_dataset(path: str | os.PathLike[str], dataset: xr.Dataset) -> None:
     """Writes all or nothing: a file of that name is either whole or as it was before."""
-    encoding = {
+    encoding: dict[Any, dict[str, Any]] = {
         name: {"zlib": True, "complevel": 4}
         for name, variable in dataset.data_vars.items()
         if variable.ndim and variable.dtype.kind == "f"

@@ -57,10 +57,9 @@ def plot_slice(axes: Axes, grid: Grid, extinction: np.ndarray, normal: int, inde
     return image
 
 
-def _extent(grid: Grid, right: int, up: int) -> tuple[float, ...]:
-    return tuple(
-        edge for axis in (right, up) for edge in (grid.origin[axis], grid.origin[axis] + grid.extent[axis])
-    )
+def _extent(grid: Grid, right: int, up: int) -> tuple[float, float, float, float]:
+    left, bottom = grid.origin[right], grid.origin[up]
+    return left, left + grid.extent[right], bottom, bottom + grid.extent[up]
 
 
 def plot_optical_depth(axes: Axes, grid: Grid, extinction: np.ndarray, largest: float | None = None) -> Any:

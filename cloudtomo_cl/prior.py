@@ -55,7 +55,7 @@ class PriorOperator:
         self._smooth, self._work, self._value, self._outer, self._inner = (
             cl_array.zeros(device.queue, shape, np.float32) for _ in range(5)
         )
-        self._shape = cltypes.make_int3(*shape)
+        self._shape = cltypes.make_int3(*shape)  # type: ignore[attr-defined]  # made when pyopencl is imported
 
     def _launch(self, name: str, *arguments: Any) -> None:
         self.device.launch(self._kernels[name], int(np.prod(self.shape)), *arguments)

@@ -79,6 +79,7 @@ def camera_ray(view: View, grid: Grid, column: float, row: float) -> tuple[np.nd
         sight = np.subtract(view.target, view.position).astype(float)
         sight /= np.linalg.norm(sight)
     else:
+        assert view.zenith is not None and view.azimuth is not None
         theta, phi = np.radians(view.zenith), np.radians(view.azimuth)
         sight = -np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
     up = view.up
@@ -318,6 +319,7 @@ def side_flights(
         flight = fly(scene, extinction, position, direction, -np.log(w[0]))
         if not flight.collided:
             continue
+        assert flight.position is not None, "what collided is somewhere"
         target, albedo, inverse = met_particle(scene, extinction, effective_radius, flight, w[1], w_next[1])
         density = scatter_density(scene, particle, before, direction)
         sun_density = droplet_density(scene, row, direction @ sun)
@@ -472,6 +474,7 @@ def photon(
     def leave(number: int, flight: Flight, direction: np.ndarray, weight: float) -> None:
         if not periodic and (flight.through_side or flight.position is None):
             return
+        assert flight.position is not None, "without a way out there is no column"
         down = "direct" if number == 1 else "diffuse"
         tally.append(("reflected" if direction[2] > 0 else down, column(flight.position), weight))
 

@@ -114,6 +114,7 @@ def droplet_in_voxel(scene: Scene, effective_radius: float | None, u: float) -> 
     row = 0
     if len(phase.values) > 1:
         radius = scene.cloud.effective_radius if effective_radius is None else effective_radius
+        assert radius is not None, "a table of several radii needs one of the droplets"
         between = np.interp(radius, phase.effective_radius, np.arange(len(phase.values)))
         row = int(between) + int(u < between % 1)
     if phase.single_scattering_albedo is not None:

@@ -118,8 +118,8 @@ class RunFolder:
         with written_whole(self.settings_file) as partial:
             partial.write_text(json.dumps(self._settings, indent=2) + "\n", encoding="utf-8")
         # A run may have been killed after its checkpoint: the history is that of the checkpoint.
-        with written_whole(self.history_file) as partial, open(partial, "w", newline="", encoding="utf-8") as file:
-            csv.writer(file).writerows([names, *map(_line, self._before or ())])
+        with written_whole(self.history_file) as partial, open(partial, "w", newline="", encoding="utf-8") as table:
+            csv.writer(table).writerows([names, *map(_line, self._before or ())])
         self._history = open(self.history_file, "a", newline="", encoding="utf-8")
         self.started = True
 

@@ -36,7 +36,7 @@ def image_axes(line_of_sight: np.ndarray, up: Triple | None) -> tuple[np.ndarray
         up = (0.0, 1.0, 0.0) if vertical else (0.0, 0.0, 1.0)
     right = np.cross(line_of_sight, np.asarray(up, dtype=float))
     norm = np.linalg.norm(right)
-    if norm < 1e-6 * max(np.linalg.norm(up), 1e-300):
+    if norm < 1e-6 * max(float(np.linalg.norm(up)), 1e-300):
         raise ValueError("up is parallel to the line of sight: choose another, for instance [0, 1, 0]")
     right /= norm
     return right, np.cross(right, line_of_sight)

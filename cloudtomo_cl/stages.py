@@ -56,11 +56,12 @@ def automatic_stages(grid: Grid) -> tuple[Stage, ...]:
     shares = np.minimum((_COARSEST / longest) ** np.linspace(1, 0, count), 1.0) if count > 1 else np.ones(1)
     stages = []
     for share in shares:
-        shape = tuple(min(n, max(4, round(n * share))) for n in grid.shape)
+        nx, ny, nz = (min(n, max(4, round(n * share))) for n in grid.shape)
         last = share == shares[-1]
         pixels = min(1.0, 2 * share)
         # The last stage has the details to find, which show little in the cost: it is not given up early.
-        stages.append(Stage(grid=shape, pixels=pixels, iterations=600 if last else 100, window=200 if last else 20))
+        iterations, window = (600, 200) if last else (100, 20)
+        stages.append(Stage(grid=(nx, ny, nz), pixels=pixels, iterations=iterations, window=window))
     return tuple(stages)
 
 

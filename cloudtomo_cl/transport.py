@@ -174,7 +174,7 @@ class RadianceOperator:
         medium = self._medium.field(extinction, skips_clear=not keep_paths)
         size = count * STRUCTS["PixelSums"].itemsize
         sums = self._cl.Buffer(self.device.context, self._cl.mem_flags.READ_WRITE, size)
-        self._cl.enqueue_fill_buffer(queue, sums, np.uint8(0), 0, sums.size)
+        self._cl.enqueue_fill_buffer(queue, sums, np.zeros(1, np.uint8), 0, sums.size)
         account = Account(self.device)
         launches: list[tuple[int, Any]] = []
         done = 0

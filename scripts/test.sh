@@ -1,6 +1,8 @@
 #!/usr/bin/env bash
-# Sets up .venv and runs the tests; arguments go to pytest.
+# Sets up .venv, checks style and types, and runs the tests; arguments go to pytest.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/setup.sh
+ruff check .
+mypy
 exec python -m pytest "$@"
