@@ -1,5 +1,7 @@
 # The public names: __init__.py gives them, and imports where they come from when they are first used.
 from .carving import carve
+from .cloud_files import ReadingOptions, read_cloud
+from .cloud_volume import CloudVolume
 from .clouds import cumulus
 from .device import choose_device, list_devices
 from .droplets import DropletTable, extinction_from_water
@@ -9,6 +11,8 @@ from .formations import MISR_ANGLES, RingOfViews, StringOfScans, StringOfViews, 
 from .grid import Grid
 from .inversion import Reconstruction, reconstruct
 from .io import (
+    extinction_dataset,
+    measurements_dataset,
     read_extinction,
     read_measurements,
     read_rays,
@@ -38,6 +42,7 @@ __all__ = [
     "Air",
     "Boundary",
     "Cloud",
+    "CloudVolume",
     "CloudtomoError",
     "DoubleHenyeyGreenstein",
     "DropletTable",
@@ -55,6 +60,7 @@ __all__ = [
     "RadianceOperator",
     "RadiometerView",
     "RayView",
+    "ReadingOptions",
     "Reconstruction",
     "Rendering",
     "RingOfViews",
@@ -72,9 +78,12 @@ __all__ = [
     "delta",
     "droplet_table",
     "epsilon",
+    "extinction_dataset",
     "extinction_from_water",
     "fisheye_rays",
     "list_devices",
+    "measurements_dataset",
+    "read_cloud",
     "read_droplet_table",
     "read_extinction",
     "read_measurements",

@@ -22,9 +22,12 @@ x runs east, y north, z up; the ground is z = 0."""
 
 EPILOG = """\
 a whole example:
-  cloudtomo cloud --generate cumulus --shape 32 32 32 --spacing 0.025 0.025 0.025 --output cloud.nc
-  cloudtomo render scene.toml --samples 256 --seed 1 --output images.nc
-  cloudtomo reconstruct run.toml --seed 2 --output run
+  cloudtomo cloud --generate cumulus --output cloud.nc
+  cloudtomo init render --cloud cloud.nc
+  cloudtomo render scene.toml --output images.nc --png previews
+  cloudtomo init reconstruct --truth cloud.nc
+  cloudtomo reconstruct run.toml --seed 2 --output run --set run.time_limit=600
+  cloudtomo report run
 
 `cloudtomo COMMAND --help` explains a command and its files."""
 
@@ -71,6 +74,7 @@ the top), direct and diffuse (downward through the bottom), absorbed, and their 
 FLUX_EXAMPLES = """\
 example:
   cloudtomo flux scene.toml --photons 1e7 --seed 1 --output fluxes.nc
+  cloudtomo flux fluxes.nc --output again.nc      # the same once more, from that file alone
 
 scene.toml is that of `cloudtomo render`; views may be absent. Sides must be periodic if there is a
 surface that reflects, or air outside of the cloud's grid."""
@@ -78,7 +82,8 @@ surface that reflects, or air outside of the cloud's grid."""
 RECONSTRUCT = """\
 Recover the extinction from images, coarse to fine.
 
-The folder gets reconstruction.nc, history.csv (a line for each iteration, as it goes), settings.json and figures/.
+The folder gets reconstruction.nc, history.csv (a line for each iteration, as it goes), settings.json, modelled.nc
+(the images of the recovered cloud), figures/ and report.html.
 
 checkpoint.npz is kept up to date: after Ctrl-C, SIGTERM, a failure or a power cut the same command with --resume
 goes on, and ends with the same bits as a run that was never stopped."""
@@ -100,7 +105,9 @@ optional tables: [[stage]] (automatic otherwise), [prior], [optimizer], [grid]; 
 scene ([sun], [cloud], [air], [surface], [boundary], [[view]]), each in place of the one that
 the images were made with."""
 
-REPORT = "Make the figures of a run folder again: slices, history, and what else is known."
+REPORT = """\
+Make the figures of a run folder and its page report.html again: slices, maps, history, measured and
+modelled images, and what else is known. A reconstruction does it by itself."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -172,9 +179,9 @@ def parser() -> argparse.ArgumentParser:
     render.add_argument("--png", type=Path, metavar="DIR", help="also previews, one grey scale for all views")
 
     flux = add("flux", "compute fluxes and absorption", FLUX, FLUX_EXAMPLES, device, quiet, overwrite, changes)
-    flux.add_argument("scene", type=Path, metavar="SCENE.toml")
-    flux.add_argument("--photons", type=_photons, default=1_000_000, help="from the sun, at least (default 1e6)")
-    flux.add_argument("--seed", type=_seed, default=0, help="of the random numbers (default 0)")
+    flux.add_argument("scene", type=Path, metavar="SCENE.toml", help="or fluxes.nc or images.nc, to take their scene")
+    flux.add_argument("--photons", type=_photons, help="from the sun, at least (default 1e6, or as fluxes.nc)")
+    flux.add_argument("--seed", type=_seed, help="of the random numbers (default 0, or as fluxes.nc)")
     flux.add_argument("--output", type=Path, metavar="FILE", help="fluxes by column, netCDF")
 
     reconstruct = add(
@@ -189,6 +196,13 @@ def parser() -> argparse.ArgumentParser:
     reconstruct.add_argument("--output", type=Path, required=True, metavar="DIR", help="the run folder")
     reconstruct.add_argument(
         "--resume", action="store_true", help="go on from the checkpoint in DIR (start, where there is none)"
+    )
+
+    reconstruct.add_argument(
+        "--no-report",
+        dest="with_report",
+        action="store_false",
+        help="leave figures and report.html to `cloudtomo report DIR`, for instance in a batch of many runs",
     )
 
     report = add("report", "make a run's figures again", REPORT, "example:\n  cloudtomo report run", quiet)

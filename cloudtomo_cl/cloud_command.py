@@ -108,6 +108,9 @@ def cloud(
     if not quiet:
         for name, value in volume.summary().items():
             print(f"{name:<24}{value}")
+        for path in (output, png):
+            if path is not None:
+                print(f"{path} is written")
 
 
 def _plain(value: Any) -> Any:

@@ -16,12 +16,15 @@ from cloudtomo_cl.cloud_field import UNIFORM, ReadingOptions, box_edges, cloud_v
 from cloudtomo_cl.cloud_netcdf import RADIUS_NAMES, WATER_NAMES, read_netcdf_cloud
 from cloudtomo_cl.cloud_volume import CloudVolume
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.netcdf import Source, name_of
 
 __all__ = ["ReadingOptions", "read_cloud"]
 
 
-def read_cloud(path: str | os.PathLike[str], options: ReadingOptions | None = None) -> CloudVolume:
+def read_cloud(source: Source, options: ReadingOptions | None = None) -> CloudVolume:
     """Reads a cloud from any of the known kinds of files; the content decides, or the name's end (.npy, .mat).
+
+    An xarray Dataset, or a DataArray with a name, is understood like a netCDF file.
 
     Text: pyshdom's ("# comment", "nx ny nz", "dx dy z...", indices from 0, water content and radius),
     AT3D's with commas and column names, SHDOM's and I3RC's "2 parameter LWC file" (indices from 1), and
@@ -32,11 +35,12 @@ def read_cloud(path: str | os.PathLike[str], options: ReadingOptions | None = No
     ------
     DataError : no such file, none of these, or something in it that cannot be; the text says what to do
     """
-    path, options = Path(path), options or ReadingOptions()
-    if not path.is_file():
+    path, options = Path(name_of(source)), options or ReadingOptions()
+    in_memory = not isinstance(source, (str, os.PathLike))
+    if not in_memory and not path.is_file():
         raise DataError(f"{path}: no such file")
     try:
-        return _read_any(path, options)
+        return read_netcdf_cloud(source, options) if in_memory else _read_any(path, options)
     except (DataError, MemoryError):
         raise
     except Exception as error:  # what a foreign or damaged file may lead to has no end

@@ -10,7 +10,7 @@ import numpy as np
 from cloudtomo_cl.cloud_field import UNIFORM, ReadingOptions, cloud_volume, edges_between, field_kind
 from cloudtomo_cl.cloud_volume import CloudVolume
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.netcdf import LENGTH_UNITS, load_dataset
+from cloudtomo_cl.netcdf import LENGTH_UNITS, Source, load_dataset, name_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -33,14 +33,14 @@ _HEIGHT_NAMES = ("height", "altitude", "lev", "level", "bottom_top", "top_bottom
 _LARGEST_STEP = 5.0
 
 
-def read_netcdf_cloud(path: Path, options: ReadingOptions) -> CloudVolume:
+def read_netcdf_cloud(source: Source, options: ReadingOptions) -> CloudVolume:
     """Extinction, water content or mixing ratio over x, y, z.
 
     Raises
     ------
     DataError : no such field, other units, coordinates that are not uniform but for the vertical one
     """
-    dataset = load_dataset(path)
+    path, dataset = Path(name_of(source)), load_dataset(source)
     name, kind, factor = _field(path, dataset, options)
     axes = _axes(path, dataset, dataset[name])
     field = _plain(path, dataset[name], axes, options) * factor

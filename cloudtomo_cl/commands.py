@@ -74,6 +74,7 @@ def reconstruct(
     quiet: bool,
     overwrite: bool,
     overrides: Sequence[str] = (),
+    with_report: bool = True,
 ) -> None:
     """Reconstructs after a run file into a run folder."""
     from cloudtomo_cl.config import (
@@ -119,6 +120,7 @@ def reconstruct(
     if resumed is None:
         if resume:
             console.print(f"{output} has no checkpoint: starting from the beginning", highlight=False, soft_wrap=True)
+        console.print("building kernels, carving space ...", highlight=False)
         mask = _carve(scene, measurements, chosen)
         console.print(f"space carving keeps {mask.mean():.1%} of the voxels", highlight=False)
     else:
@@ -181,6 +183,13 @@ def reconstruct(
         folder.close()
     last = result.history[-1]
     where = f"stage {last.stage + 1} of {last.stages}, iteration {last.iteration + 1}"
+    time_limit = settings.run.time_limit
+    if stop.signal_number is not None:
+        state = f"interrupted in {where}"
+    elif last.stage + 1 < last.stages or (time_limit is not None and last.seconds >= time_limit):
+        state = f"stopped by its time limit in {where}"
+    else:
+        state = "complete"
     folder.write_reconstruction(
         result.grid,
         result.extinction,
@@ -192,7 +201,7 @@ def reconstruct(
             "versions": versions(),
             "photons": float(last.photons),
             "seconds": last.seconds,
-            "state": f"interrupted in {where}" if stop.signal_number else "complete",
+            "state": state,
         },
         measurements,
         {
@@ -204,9 +213,12 @@ def reconstruct(
     if stop.signal_number is not None:
         status = exit_status(stop.signal_number)
         raise Interrupted(f"interrupted in {where}; what was reached is in {output}: {again}", status)
+    console.print(f"{last.photons:.3g} photons in {duration(last.seconds)} on {chosen.name}: {state}", soft_wrap=True)
+    console.print("rendering the images of the recovered cloud ...", highlight=False)
     _write_modelled(folder, scene, measurements, result.extinction, chosen, seed, len(result.history) + 1)
-    report(output, quiet=True)
-    console.print(f"{last.photons:.3g} photons in {duration(last.seconds)} on {chosen.name}", soft_wrap=True)
+    if with_report:
+        console.print(f"drawing figures and {folder.report_file} ...", highlight=False, soft_wrap=True)
+        report(output, quiet=True)
     if truth is None:
         mass = float(result.extinction.sum(dtype=float)) * result.grid.voxel_volume
         summary = f"optical mass {mass:.4g} km^2  {output}"
@@ -242,12 +254,25 @@ def _write_modelled(
     iteration: int,
 ) -> None:
     """What the recovered cloud looks like from the measured views, for the report to compare with."""
+    from cloudtomo_cl.config import stored_scene
     from cloudtomo_cl.io import write_measurements
 
     operator = RadianceOperator(scene, measurements.views, device)
     samples = max(_FEWEST_MODELLED_SAMPLES, 2 * round(_MODELLED_PATHS / len(operator.pixels) / 2))
     modelled = Measurements.rendered(operator, operator.render(extinction, samples, seed, iteration))
-    write_measurements(folder.modelled_file, modelled, {"source": source(), "samples": samples, "seed": seed})
+    write_measurements(
+        folder.modelled_file,
+        modelled,
+        {"source": source(), "device": describe_device(device), "versions": versions()},
+        {
+            "scene": stored_scene(scene),
+            "cloud_file": folder.reconstruction_file.name,
+            "samples": samples,
+            "seed": seed,
+            "iteration": iteration,
+        },
+        (scene.grid, extinction, None),
+    )
 
 
 def _carve(scene: Scene, measurements: Measurements, device: Device) -> np.ndarray:

@@ -14,8 +14,10 @@ from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.netcdf import (
     AXES,
     LENGTH_UNITS,
+    Source,
     file_attributes,
     load_dataset,
+    name_of,
     number_variable,
     save_dataset,
     unit_factor,
@@ -84,8 +86,8 @@ def _single_spacing(path: Any, dataset: xr.Dataset, name: str, unit: float) -> f
     return float(upper - lower)
 
 
-def read_extinction(path: str | os.PathLike[str]) -> tuple[Grid, np.ndarray]:
-    """Reads extinction(x, y, z) from a netCDF file.
+def read_extinction(source: Source) -> tuple[Grid, np.ndarray]:
+    """Reads extinction(x, y, z) from a netCDF file, or from an xarray Dataset or DataArray.
 
     The coordinates x, y, z are the centres of uniform voxels, in units of km (also if no unit
     is given) or m; the domain starts half a voxel below the first. Extinction is in km-1
@@ -102,7 +104,7 @@ def read_extinction(path: str | os.PathLike[str]) -> tuple[Grid, np.ndarray]:
         units, spacing that is not uniform, a domain below the ground; extinction that is
         negative, not finite or zero everywhere
     """
-    dataset = load_dataset(path)
+    path, dataset = name_of(source), load_dataset(source)
     variable = number_variable(path, dataset, "extinction", AXES)
     spacing, origin = zip(*(_axis(path, dataset, name) for name in AXES))
     values = variable.values.astype(np.float64) * unit_factor(path, variable, EXTINCTION_UNITS, "km-1")
@@ -122,14 +124,14 @@ def read_extinction(path: str | os.PathLike[str]) -> tuple[Grid, np.ndarray]:
         raise DataError(f"{path}: impossible grid: {error.errors()[0]['msg']} (z must be at least 0)") from None
 
 
-def read_effective_radius(path: str | os.PathLike[str]) -> np.ndarray | None:
+def read_effective_radius(source: Source) -> np.ndarray | None:
     """effective_radius(x, y, z) of a cloud's file, micrometres, NaN where it has no cloud; None if it has none.
 
     Raises
     ------
     DataError : other dimensions or units
     """
-    dataset = load_dataset(path)
+    path, dataset = name_of(source), load_dataset(source)
     if "effective_radius" not in dataset:
         return None
     variable = number_variable(path, dataset, "effective_radius", AXES)
@@ -144,24 +146,45 @@ def write_extinction(
     attributes: Mapping[str, Any] | None = None,
     effective_radius: np.ndarray | None = None,
 ) -> None:
-    """Writes extinction(x, y, z) with its voxel centres, after the CF conventions.
+    """Writes `extinction_dataset` into a netCDF file.
 
     Parameters
     ----------
     path : of the file; it is replaced whole or not at all
-    grid : of the domain
-    extinction : km^-1, shape of the grid; stored in single precision
-    attributes : of the file, text or numbers; mappings are stored as JSON
-    effective_radius : of the droplets, micrometres, same shape, NaN where there is no cloud
+    grid, extinction, attributes, effective_radius : see `extinction_dataset`
 
     Raises
     ------
     DataError : extinction of another shape or not finite; the file cannot be written
     """
+    save_dataset(path, extinction_dataset(grid, extinction, attributes, effective_radius, name_of(path)))
+
+
+def extinction_dataset(
+    grid: Grid,
+    extinction: np.ndarray,
+    attributes: Mapping[str, Any] | None = None,
+    effective_radius: np.ndarray | None = None,
+    name: str = "the dataset",
+) -> xr.Dataset:
+    """extinction(x, y, z) with its voxel centres and their bounds, after the CF conventions.
+
+    Parameters
+    ----------
+    grid : of the domain
+    extinction : km^-1, shape of the grid; stored in single precision
+    attributes : text or numbers; mappings are stored as JSON
+    effective_radius : of the droplets, micrometres, same shape, NaN where there is no cloud
+    name : what errors call it
+
+    Raises
+    ------
+    DataError : extinction of another shape or not finite
+    """
     import xarray as xr
 
-    variables, coordinates = extinction_variables(path, grid, extinction, effective_radius)
-    save_dataset(path, xr.Dataset(variables, coordinates, file_attributes(attributes)))
+    variables, coordinates = extinction_variables(name, grid, extinction, effective_radius)
+    return xr.Dataset(variables, coordinates, file_attributes(attributes))
 
 
 def extinction_variables(
@@ -182,7 +205,9 @@ def extinction_variables(
     for axis, name in enumerate(AXES):
         centres, half = grid.centres(axis), grid.spacing[axis] / 2
         coordinates[name] = (name, centres, {"units": "km", "bounds": f"{name}_bounds", **standard[name]})
-        coordinates[f"{name}_bounds"] = ((name, "bound"), np.column_stack([centres - half, centres + half]))
+        edges = np.column_stack([centres - half, centres + half])
+        described = {"units": "km", "long_name": f"faces of the voxels along {name}"}
+        coordinates[f"{name}_bounds"] = ((name, "bound"), edges, described)
     described = {
         "long_name": "cloud volume extinction coefficient",
         "units": "km-1",

@@ -1,8 +1,14 @@
 """All that reads and writes our netCDF files, by one name."""
 
-from cloudtomo_cl.extinction_files import read_effective_radius, read_extinction, write_extinction
+from cloudtomo_cl.extinction_files import (
+    extinction_dataset,
+    read_effective_radius,
+    read_extinction,
+    write_extinction,
+)
 from cloudtomo_cl.measurement_files import (
     VIEW_FIELDS,
+    measurements_dataset,
     read_measurements,
     read_rays,
     read_settings,
@@ -15,8 +21,10 @@ __all__ = [
     "CONVENTIONS",
     "VIEW_FIELDS",
     "check_output",
+    "extinction_dataset",
     "is_netcdf",
     "load_dataset",
+    "measurements_dataset",
     "read_effective_radius",
     "read_extinction",
     "read_measurements",

@@ -15,10 +15,12 @@ from cloudtomo_cl.extinction_files import extinction_variables
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.measurements import Measurements
 from cloudtomo_cl.netcdf import (
-    AXES,
     LENGTH_UNITS,
+    Source,
+    axis_coordinate,
     file_attributes,
     load_dataset,
+    name_of,
     number_variable,
     save_dataset,
     unit_factor,
@@ -59,7 +61,28 @@ def write_measurements(
     settings: Mapping[str, Any] | None = None,
     cloud: tuple[Grid, np.ndarray, np.ndarray | None] | None = None,
 ) -> None:
-    """Writes images with the views that they were taken from.
+    """Writes `measurements_dataset` into a netCDF file.
+
+    Parameters
+    ----------
+    path : of the file; it is replaced whole or not at all
+    measurements, attributes, settings, cloud : see `measurements_dataset`
+
+    Raises
+    ------
+    DataError : the file cannot be written; as `measurements_dataset`
+    """
+    save_dataset(path, measurements_dataset(measurements, attributes, settings, cloud, name_of(path)))
+
+
+def measurements_dataset(
+    measurements: Measurements,
+    attributes: Mapping[str, Any] | None = None,
+    settings: Mapping[str, Any] | None = None,
+    cloud: tuple[Grid, np.ndarray, np.ndarray | None] | None = None,
+    name: str = "the dataset",
+) -> xr.Dataset:
+    """Images with the views that they were taken from.
 
     Variables: `radiance` and `radiance_standard_error` (view, row, column), W m-2 sr-1, padded
     with NaN to the largest image, with `image_height` and `image_width` (view); `view_type`
@@ -69,22 +92,22 @@ def write_measurements(
 
     Parameters
     ----------
-    path : of the file; it is replaced whole or not at all
     measurements : images and views
-    attributes : of the file, text or numbers; mappings are stored as JSON
+    attributes : text or numbers; mappings are stored as JSON
     settings : of the run that made the images, stored as the JSON attribute `settings`
     cloud : grid, extinction (km^-1) and effective radius (um, or None) to keep beside the images: what they
         were rendered from, or what was recovered from them
+    name : what errors call it
 
     Raises
     ------
-    DataError : the file cannot be written; as `write_extinction`
+    DataError : no view; as `extinction_dataset`
     """
     import xarray as xr
 
     views = measurements.views
     if not views:
-        raise DataError(f"{path}: there is no view to write")
+        raise DataError(f"{name}: there is no view to write")
     rows = max(view.pixels[1] for view in views)
     columns = max(view.pixels[0] for view in views)
     radiance = np.full((2, len(views), rows, columns), np.nan)
@@ -92,6 +115,7 @@ def write_measurements(
         for index, array in enumerate(arrays):
             radiance[kind, index, : array.shape[0], : array.shape[1]] = array
     dims = ("view", "row", "column")
+    types = [view.type for view in views]
     counts = {"height": [view.pixels[1] for view in views], "width": [view.pixels[0] for view in views]}
     variables: dict[str, Any] = {
         "radiance": (dims, radiance[0], {"units": RADIANCE_UNITS, "long_name": "mean radiance of a pixel"}),
@@ -102,40 +126,40 @@ def write_measurements(
         ),
         "image_height": ("view", counts["height"], {"units": "1", "long_name": "rows of the image"}),
         "image_width": ("view", counts["width"], {"units": "1", "long_name": "columns of the image"}),
-        "view_type": ("view", np.array([view.type for view in views], dtype=object), {"long_name": "projection"}),
+        "view_type": ("view", np.array(types, dtype=object), {"units": "1", "long_name": "projection"}),
     }
-    for name, (extra, unit, long_name) in VIEW_FIELDS.items():
+    for key, (extra, unit, long_name) in VIEW_FIELDS.items():
         missing = (np.nan,) * 3 if extra else np.nan
-        fields = [getattr(view, name, None) for view in views]
-        if name in OPTIONAL_VIEW_FIELDS and not any(value is not None for value in fields):
+        fields = [getattr(view, key, None) for view in views]
+        if key in OPTIONAL_VIEW_FIELDS and not any(value is not None for value in fields):
             continue
         values = np.array([missing if value is None else value for value in fields], dtype=np.float64)
-        variables[name] = (("view", *extra), values, {"units": unit, "long_name": long_name})
+        variables[key] = (("view", *extra), values, {"units": unit, "long_name": long_name})
     lists = [view for view in views if isinstance(view, RayView)]
     if lists:
         variables.update(_ray_variables(lists))
-    coordinates: dict[str, Any] = {"axis": ("axis", np.array(AXES, dtype=object))}
-    for name, count in (("view", len(views)), ("row", rows), ("column", columns)):
-        coordinates[name] = (name, np.arange(count, dtype=np.int32), {"units": "1", "long_name": f"{name}, from 0"})
+    coordinates: dict[str, Any] = {"axis": axis_coordinate()}
+    for key, count in (("view", len(views)), ("row", rows), ("column", columns)):
+        coordinates[key] = (key, np.arange(count, dtype=np.int32), {"units": "1", "long_name": f"{key}, from 0"})
     if cloud is not None:
-        of_cloud = extinction_variables(path, *cloud)
+        of_cloud = extinction_variables(name, *cloud)
         variables.update(of_cloud[0])
         coordinates.update(of_cloud[1])
     described = file_attributes(attributes)
     if settings is not None:
         described["settings"] = json.dumps(settings, indent=1)
-    save_dataset(path, xr.Dataset(variables, coordinates, described))
+    return xr.Dataset(variables, coordinates, described)
 
 
-def read_measurements(path: str | os.PathLike[str]) -> Measurements:
-    """Reads what `write_measurements` wrote: the same images, the same views.
+def read_measurements(source: Source) -> Measurements:
+    """Reads what `write_measurements` wrote, or `measurements_dataset` made: the same images, the same views.
 
     Raises
     ------
     DataError : no such file, not netCDF, cut short; missing variables, other dimensions or
         units; images that are not finite; views that are not possible
     """
-    dataset = load_dataset(path)
+    path, dataset = name_of(source), load_dataset(source)
     dims = ("view", "row", "column")
     radiance = number_variable(path, dataset, "radiance", dims)
     error = number_variable(path, dataset, "radiance_standard_error", dims)
@@ -212,7 +236,7 @@ def write_rays(path: str | os.PathLike[str], view: RayView) -> None:
     variables = {name.removeprefix("ray_"): variable for name, variable in _ray_variables([view]).items()}
     width, height = view.pixels
     sizes = {"image_width": width, "image_height": height}
-    save_dataset(path, xr.Dataset(variables, {"axis": ("axis", np.array(AXES, dtype=object))}, file_attributes(sizes)))
+    save_dataset(path, xr.Dataset(variables, {"axis": axis_coordinate()}, file_attributes(sizes)))
 
 
 def read_rays(path: str | os.PathLike[str]) -> RayView:

@@ -67,7 +67,7 @@ def mie(
     from cloudtomo_cl.io import check_output
     from cloudtomo_cl.mie import droplet_table
     from cloudtomo_cl.phase_files import write_phase_function
-    from cloudtomo_cl.provenance import source
+    from cloudtomo_cl.provenance import source, versions
 
     check_output(output, overwrite)
     radii = list(effective_radius)
@@ -83,7 +83,13 @@ def mie(
     console = Console(quiet=quiet)
     with progress.counting(console, "droplet sizes") as show:
         table = droplet_table(wavelength, radii, effective_variance, index, show)
-    write_phase_function(output, table, {"source": source()})
+    settings = {
+        "wavelength": wavelength,
+        "effective_radius": list(radii),
+        "effective_variance": effective_variance,
+        "refractive_index": [table.refractive_index_real, table.refractive_index_imag],
+    }
+    write_phase_function(output, table, {"source": source(), "versions": versions(), "settings": settings})
     function = table.phase_function
     console.print(
         f"refractive index {table.refractive_index_real:.5g} - {table.refractive_index_imag:.3g} i, "

@@ -9,7 +9,9 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Union
+
+import numpy as np
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files import written_whole
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
 
 CONVENTIONS = "CF-1.10"
 AXES = ("x", "y", "z")
+# What files are read from: their names, or what they hold, in memory.
+Source = Union[str, "os.PathLike[str]", "xr.Dataset", "xr.DataArray"]
 # Kilometres in one unit of length.
 LENGTH_UNITS = {
     **dict.fromkeys(("km", "kilometer", "kilometers", "kilometre", "kilometres"), 1.0),
@@ -36,8 +40,13 @@ def is_netcdf(path: Path) -> bool:
         return False
 
 
-def load_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
-    """The whole file in memory.
+def name_of(source: Source) -> str:
+    """How errors call what is read."""
+    return str(source) if isinstance(source, (str, os.PathLike)) else f"the {type(source).__name__}"
+
+
+def load_dataset(source: Source) -> xr.Dataset:
+    """The whole file in memory; a dataset is there already, and a DataArray becomes one.
 
     Raises
     ------
@@ -45,6 +54,11 @@ def load_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
     """
     import xarray as xr
 
+    if isinstance(source, xr.Dataset):
+        return source
+    if isinstance(source, xr.DataArray):
+        return source.to_dataset(name=source.name or "extinction")
+    path = source
     if not Path(path).is_file():
         raise DataError(f"{path}: no such file")
     try:
@@ -105,8 +119,21 @@ def save_dataset(path: str | os.PathLike[str], dataset: xr.Dataset) -> None:
     with written_whole(path) as partial:
         try:
             dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
+            _restore_bounds_units(partial, dataset)
         except RuntimeError as error:  # how the netCDF library says that a disk is full
             raise OSError(str(error)) from None
+
+
+def _restore_bounds_units(path: Path, dataset: xr.Dataset) -> None:
+    """Writes the units of bounds, which xarray leaves out where they are those of the coordinate (CF allows both)."""
+    bounds = [variable.attrs["bounds"] for variable in dataset.variables.values() if "bounds" in variable.attrs]
+    if not bounds:
+        return
+    import netCDF4
+
+    with netCDF4.Dataset(path, "a") as file:
+        for name in bounds:
+            file[name].units = dataset[name].attrs["units"]
 
 
 def number_variable(path: Any, dataset: xr.Dataset, name: str, dims: tuple[str, ...]) -> xr.DataArray:
@@ -131,6 +158,11 @@ def unit_factor(path: Any, variable: xr.DataArray, units: Mapping[str, float], d
     if name not in units:
         raise DataError(f"{path}: {variable.name} has units '{name}', allowed are {', '.join(units)}")
     return units[name]
+
+
+def axis_coordinate() -> tuple[str, Any, dict[str, str]]:
+    """The names x, y, z along the dimension `axis`."""
+    return "axis", np.array(AXES, dtype=object), {"units": "1", "long_name": "component of a vector"}
 
 
 def file_attributes(attributes: Mapping[str, Any] | None) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from cloudtomo_cl.droplets import DropletTable
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files import written_whole
-from cloudtomo_cl.netcdf import CONVENTIONS, load_dataset
+from cloudtomo_cl.netcdf import file_attributes, load_dataset
 from cloudtomo_cl.phase import TabulatedPhaseFunction
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def read_droplet_table(path: str | os.PathLike[str]) -> DropletTable:
 def write_phase_function(
     path: str | os.PathLike[str],
     table: TabulatedPhaseFunction | DropletTable,
-    attributes: Mapping[str, str | float] | None = None,
+    attributes: Mapping[str, Any] | None = None,
 ) -> None:
     """Writes phase functions as `read_phase_function` reads them, in double precision.
 
@@ -87,7 +87,7 @@ def write_phase_function(
     ----------
     path : of the file; it is replaced whole or not at all
     table : phase functions alone, or with all that Mie's theory tells of the droplets
-    attributes : of the file
+    attributes : of the file, text or numbers; mappings are stored as JSON
 
     Raises
     ------
@@ -124,7 +124,7 @@ def write_phase_function(
     if function.single_scattering_albedo is not None:
         albedo = by_radius(function.single_scattering_albedo)
         variables["single_scattering_albedo"] = (per_radius, albedo, described("single-scattering albedo", "1"))
-    about: dict[str, Any] = {"Conventions": CONVENTIONS, **(attributes or {})}
+    about = file_attributes(attributes)
     if isinstance(table, DropletTable):
         efficiency = described("extinction over geometric cross-section", "1")
         variables["extinction_efficiency"] = (per_radius, by_radius(table.extinction_efficiency), efficiency)

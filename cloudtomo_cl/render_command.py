@@ -52,6 +52,8 @@ def render(
         # Images that are rendered again tell how they were.
         samples, target_error = made.get("samples"), made.get("target_error")
     seed = made.get("seed", 0) if seed is None else seed
+    # Images of a recovered cloud have random numbers of their own.
+    iteration = made.get("iteration", 0)
     chosen = choose_device(device)
     operator = RadianceOperator(described, seen, chosen, effective_radius=radius)
     console = Console(quiet=quiet)
@@ -59,8 +61,8 @@ def render(
     if target_error is None:
         count = samples or _DEFAULT_SAMPLES
         with progress.rendering(console, count) as show:
-            rendering = operator.render(extinction, count, seed, progress=show)
-        how: dict[str, Any] = {"samples": count}
+            rendering = operator.render(extinction, count, seed, iteration, progress=show)
+        how: dict[str, Any] = {"samples": count} | ({"iteration": iteration} if iteration else {})
     else:
         most = {} if samples is None else {"most_photons": float(samples) * len(operator.pixels)}
         with progress.rendering(console, 100, "%") as show:
@@ -88,7 +90,7 @@ def render(
     for index, (image, error) in enumerate(zip(measurements.images, measurements.standard_errors)):
         # Pixels have random numbers of their own: their variances add.
         mean_error = np.sqrt((error**2).sum()) / image.size
-        line = f"view {index}: mean radiance {image.mean():.5g} ± {mean_error:.1g} W m^-2 sr^-1"
+        line = f"view {index}: mean radiance {_with_error(image.mean(), mean_error)} W m^-2 sr^-1"
         console.print(f"{line}, pixel noise {noise[index]:.2%}", highlight=False, soft_wrap=True)
     if target_error is not None and noise.max() > target_error:
         console.print(f"the target of {target_error:.2%} needs more than {samples} photons per pixel", soft_wrap=True)
@@ -101,13 +103,18 @@ def render(
         console.print(f"previews from 0 (black) to {white:.4g} W m^-2 sr^-1 (white): {png}", soft_wrap=True)
 
 
+def _with_error(value: float, error: float) -> str:
+    """A number to the last digit that its standard error leaves, and that: 0.01550 ± 0.00002."""
+    digits = 5 if not error > 0 else max(0, -int(np.floor(np.log10(error))))
+    return f"{value:.{digits}f} ± {error:.{digits}f}"
+
+
 def _to_render(
     path: Path, overrides: Sequence[str]
 ) -> tuple[Scene, tuple[View, ...], np.ndarray, np.ndarray | None, dict[str, Any]]:
     """Scene, views, extinction, effective radius and settings, of a scene file or of images rendered before."""
-    from cloudtomo_cl.config import read_render_settings, scene_of_tables, views
-    from cloudtomo_cl.io import read_effective_radius, read_extinction, read_measurements, read_settings
-    from cloudtomo_cl.overrides import with_overrides
+    from cloudtomo_cl.config import read_render_settings, views
+    from cloudtomo_cl.io import read_effective_radius, read_extinction, read_measurements
 
     if not is_netcdf(path):
         settings = read_render_settings(path, overrides)
@@ -120,10 +127,21 @@ def _to_render(
             read_effective_radius(file),
             {"cloud_file": file.name},
         )
+    described, extinction, radius, stored = kept_scene(path, overrides)
+    return described, read_measurements(path).views, extinction, radius, stored
+
+
+def kept_scene(
+    path: Path, overrides: Sequence[str]
+) -> tuple[Scene, np.ndarray, np.ndarray | None, dict[str, Any]]:
+    """Scene, extinction, effective radius and settings that a file of images or fluxes keeps."""
+    from cloudtomo_cl.config import scene_of_tables
+    from cloudtomo_cl.io import read_effective_radius, read_extinction, read_settings
+    from cloudtomo_cl.overrides import with_overrides
+
     stored = read_settings(path)
     if not isinstance(stored.get("scene"), dict):
         raise SettingsError(f"{path}: keeps no scene to render again: give a scene file, or images of cloudtomo render")
     described = scene_of_tables(path, with_overrides(stored["scene"], overrides))
     _, extinction = read_extinction(path)
-    seen = read_measurements(path).views
-    return described, seen, extinction, read_effective_radius(path), {"cloud_file": path.name, **stored}
+    return described, extinction, read_effective_radius(path), {"cloud_file": path.name, **stored}

@@ -36,6 +36,8 @@ def report(folder: Path, quiet: bool) -> None:
         truth = _if_there(folder / files["truth"], lambda path: read_truth(path, grid))
     if run.modelled_file.is_file():
         modelled = read_measurements(run.modelled_file)
+    if not quiet:
+        print("drawing figures and report ...")
     figures = run_figures(grid, extinction, history, truth, measurements, modelled)
     paths = save_figures(run.figures, figures)
     attributes = load_dataset(run.reconstruction_file).attrs
@@ -54,7 +56,8 @@ def report(folder: Path, quiet: bool) -> None:
     with written_whole(run.report_file) as partial:
         partial.write_text(page, encoding="utf-8")
     if not quiet:
-        print(*paths, run.report_file, sep="\n")
+        print(f"{run.figures}: {', '.join(figures)}, each as .png and .pdf")
+        print(f"{run.report_file}: open it in a browser")
 
 
 def _numbers(
