@@ -38,6 +38,11 @@ class CloudVolume:
             if values is not None and values.shape != self.grid.shape:
                 raise DataError(f"{name} has shape {values.shape}, the grid {self.grid.shape}")
 
+    def __repr__(self) -> str:
+        radius = "" if self.effective_radius is None else ", effective radius known"
+        depth = f"vertical optical depth up to {self.optical_depth.max():.3g}"
+        return f"CloudVolume({self.grid.text}, extinction up to {self.extinction.max():.4g} km^-1, {depth}{radius})"
+
     @property
     def optical_depth(self) -> np.ndarray:
         """Of every vertical column, shape (nx, ny)."""

@@ -55,6 +55,11 @@ class Fluxes:
     audit: Audit
     _batches: np.ndarray
 
+    def __repr__(self) -> str:
+        names = ("reflected", "transmitted", "absorbed")
+        means = ", ".join(f"{name} {self.domain_mean(name).value:.4g}" for name in names)
+        return f"Fluxes({means} of {self.incident:.4g} W m^-2, {self.photons:.3g} photons, seed {self.seed})"
+
     @property
     def transmitted(self) -> Estimate:
         """Direct and diffuse."""

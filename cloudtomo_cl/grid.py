@@ -15,6 +15,10 @@ Coordinate = Annotated[float, Field(allow_inf_nan=False)]
 Triple = tuple[Coordinate, Coordinate, Coordinate]
 
 
+def _times(numbers: Sequence[float]) -> str:
+    return " x ".join(f"{number:.6g}" for number in numbers)
+
+
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Grid:
     """A box of voxels; extinction is constant inside a voxel.
@@ -29,6 +33,11 @@ class Grid:
     shape: tuple[Count, Count, Count]
     spacing: tuple[Length, Length, Length]
     origin: tuple[Coordinate, Coordinate, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = (0.0, 0.0, 0.0)
+
+    @property
+    def text(self) -> str:
+        """Voxels and their size, for people."""
+        return f"{_times(self.shape)} voxels of {_times(self.spacing)} km"
 
     @property
     def extent(self) -> Triple:

@@ -78,6 +78,14 @@ class Reconstruction:
     history: list[IterationRecord]
     stage_ends: list[float]
 
+    def __repr__(self) -> str:
+        text = f"{self.grid.text}, extinction up to {self.extinction.max():.4g} km^-1"
+        if self.history:
+            last = self.history[-1]
+            text += f", {len(self.history)} iterations in {last.seconds:.0f} s"
+            text += "" if last.epsilon is None else f", eps {last.epsilon:.3f}"
+        return f"Reconstruction({text})"
+
 
 def reconstruct(
     scene: Scene,

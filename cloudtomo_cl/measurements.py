@@ -56,6 +56,14 @@ class Measurements:
             if (error < 0).any():
                 raise DataError(f"measurements: standard_errors of view {index} are negative: they must be at least 0")
 
+    def __repr__(self) -> str:
+        sizes = sorted({view.pixels for view in self.views})
+        pixels = ", ".join(f"{width} x {height}" for width, height in sizes[:3]) + (", ..." if len(sizes) > 3 else "")
+        least = min((float(image.min()) for image in self.images), default=np.nan)
+        most = max((float(image.max()) for image in self.images), default=np.nan)
+        radiances = f"radiance {least:.4g} to {most:.4g} W m^-2 sr^-1"
+        return f"Measurements({len(self.views)} views of {pixels} pixels, {radiances})"
+
     def resampled(self, pixels: Sequence[tuple[int, int]]) -> Measurements:
         """The same images averaged over larger pixels, (width, height) for each view.
 

@@ -24,7 +24,7 @@ EXTINCTION_LABEL = "extinction (km$^{-1}$)"
 RADIANCE_LABEL = "radiance (W m$^{-2}$ sr$^{-1}$)"
 _AXES = "xyz"
 # More views side by side are too small to see anything.
-_COMPARED_VIEWS = 9
+_COMPARED_VIEWS = 6
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -197,7 +197,8 @@ def plot_history(axes: Axes, history: Mapping[str, np.ndarray]) -> None:
         lines += errors.plot(seconds, history["epsilon"], color="tab:red", linewidth=1.2, label="error eps")
         errors.set_ylabel("eps", color="tab:red")
         errors.set_ylim(0, None)
-    axes.legend(handles=lines, loc="upper right")
+    # Above: wherever it lay inside, it could hide the end of a line.
+    axes.legend(handles=lines, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(lines), frameon=False)
 
 
 def plot_scatter(axes: Axes, recovered: np.ndarray, truth: np.ndarray) -> None:
@@ -311,15 +312,18 @@ def plot_maps(figure: Figure, grid: Grid, recovered: np.ndarray, truth: np.ndarr
     reference = recovered if truth is None else truth
     largest = max(float(reference.max() if truth is not None else np.quantile(recovered, 0.9995)), 1e-9)
     deepest = max(float(reference.sum(axis=2, dtype=float).max()) * grid.spacing[2], 1e-9)
-    axes = figure.subplots(len(volumes), 3, squeeze=False)
+    # A kilometre is as long in every panel.
+    widths = [grid.extent[0], grid.extent[0], grid.extent[1]]
+    axes = figure.subplots(len(volumes), 3, squeeze=False, width_ratios=widths)
     for row, (name, volume) in zip(axes, volumes.items()):
         depth = plot_optical_depth(row[0], grid, volume, deepest)
         plot_maximum(row[1], grid, volume, 1, largest)
         image = plot_maximum(row[2], grid, volume, 0, largest)
         for panel, what in zip(row, ("optical depth", "largest along y", "largest along x")):
             panel.set_title(f"{name}: {what}", fontsize="medium")
-    figure.colorbar(depth, ax=axes[:, 0], label="vertical optical depth", extend="max", location="left")
-    figure.colorbar(image, ax=axes[:, 2], label=EXTINCTION_LABEL, extend="max")
+    bars: dict[str, Any] = {"extend": "max", "shrink": 0.5, "aspect": 25}
+    figure.colorbar(depth, ax=axes[:, 0], label="vertical optical depth", location="left", **bars)
+    figure.colorbar(image, ax=axes[:, 2], label=EXTINCTION_LABEL, **bars)
 
 
 def save_previews(folder: Path, measurements: Measurements) -> list[Path]:
@@ -365,7 +369,7 @@ def run_figures(
     if measurements is not None and modelled is not None:
         count = len(measurements.views)
         views = np.unique(np.linspace(0, count - 1, min(count, _COMPARED_VIEWS)).round().astype(int))
-        figures["comparison"] = new_figure(1.6 * len(views) + 1.8, 5.4)
+        figures["comparison"] = new_figure(1.8 * len(views) + 1.6, 5.9)
         plot_comparison(figures["comparison"], measurements, modelled, [int(view) for view in views])
     return figures
 

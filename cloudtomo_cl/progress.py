@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -73,6 +74,16 @@ def duration(seconds: float) -> str:
     return f"{minutes} min {seconds:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
+def with_error(value: float, error: float) -> str:
+    """A number to the last digit that its standard error leaves, and that: 0.01550 ± 0.00002, 130 ± 20."""
+    if not (0 < error < np.inf and np.isfinite(value)):
+        return f"{value:.5g} ± {error:.1g}"
+    digits = -int(np.floor(np.log10(error)))
+    # Rounding may carry: 0.097 is 0.1.
+    digits = -int(np.floor(np.log10(round(error, digits))))
+    return f"{round(value, digits) + 0.0:.{max(digits, 0)}f} ± {round(error, digits):.{max(digits, 0)}f}"
+
+
 class ReconstructionProgress:
     """A callback of `reconstruct`: stage, iteration, cost with its noise, error, time left.
 
@@ -132,7 +143,7 @@ class ReconstructionProgress:
     def _text(self, record: IterationRecord) -> str:
         text = (
             f"stage {record.stage + 1}/{record.stages}  iteration {record.iteration + 1:>4}  "
-            f"cost {record.cost:.3e} ± {record.cost_standard_error:.0e}"
+            f"cost {with_error(record.cost, record.cost_standard_error)}"
         )
         return text if record.epsilon is None else f"{text}  eps {record.epsilon:.3f}"
 

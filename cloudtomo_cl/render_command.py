@@ -90,7 +90,7 @@ def render(
     for index, (image, error) in enumerate(zip(measurements.images, measurements.standard_errors)):
         # Pixels have random numbers of their own: their variances add.
         mean_error = np.sqrt((error**2).sum()) / image.size
-        line = f"view {index}: mean radiance {_with_error(image.mean(), mean_error)} W m^-2 sr^-1"
+        line = f"view {index}: mean radiance {progress.with_error(image.mean(), mean_error)} W m^-2 sr^-1"
         console.print(f"{line}, pixel noise {noise[index]:.2%}", highlight=False, soft_wrap=True)
     if target_error is not None and noise.max() > target_error:
         console.print(f"the target of {target_error:.2%} needs more than {samples} photons per pixel", soft_wrap=True)
@@ -101,12 +101,6 @@ def render(
         save_previews(png, measurements)
         white = radiance_limit(measurements)
         console.print(f"previews from 0 (black) to {white:.4g} W m^-2 sr^-1 (white): {png}", soft_wrap=True)
-
-
-def _with_error(value: float, error: float) -> str:
-    """A number to the last digit that its standard error leaves, and that: 0.01550 ± 0.00002."""
-    digits = 5 if not error > 0 else max(0, -int(np.floor(np.log10(error))))
-    return f"{value:.{digits}f} ± {error:.{digits}f}"
 
 
 def _to_render(

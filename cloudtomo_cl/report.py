@@ -96,7 +96,7 @@ const holder = document.getElementById('panels');
 for (const panel of panels) {
   const figure = document.createElement('figure'), caption = document.createElement('figcaption');
   panel.canvas = document.createElement('canvas');
-  caption.textContent = panel.title;
+  panel.caption = caption;
   const bar = document.createElement('div'), ends = document.createElement('div');
   bar.className = 'bar'; ends.className = 'ends';
   bar.style.background = 'linear-gradient(to right,' + panel.colours.filter((c, n) => n % 16 === 0 || n === 255)
@@ -139,6 +139,8 @@ function draw() {
         panels.map(p => `${p.title} ${p.value(...place).toFixed(1)}`).join(', ') + ' km⁻¹';
     };
   }
+  const [right_name, up_name] = [names[right], names[up]];
+  for (const panel of panels) panel.caption.textContent = `${panel.title} (${right_name} to the right, ${up_name} up)`;
   const position = cloud.origin[normal] + (index + .5) * cloud.spacing[normal];
   where.textContent = `${names[normal]} = ${position.toFixed(3)} km (layer ${index + 1} of ${cloud.shape[normal]})`;
 }
@@ -249,7 +251,7 @@ def _view_table(measurements: Measurements, modelled: Measurements) -> str:
         known = np.isfinite(difference)
         square = f"{np.mean(difference[known] ** 2):.3g}" if known.any() else "unknown"
         relative = np.abs(model - image).mean() / max(np.abs(image).mean(), 1e-300)
-        means = f"<td>{image.mean():.4g}</td><td>{model.mean():.4g}</td>"
+        means = f"<td>{image.mean():#.4g}</td><td>{model.mean():#.4g}</td>"
         rows.append(f"<tr><td>{index}</td>{means}<td>{relative:.1%}</td><td>{square}</td></tr>")
     return (
         "<table><tr><th>view</th><th>measured mean (W m⁻² sr⁻¹)</th><th>modelled mean</th>"

@@ -64,7 +64,7 @@ def _numbers(
     grid: Grid, extinction: np.ndarray, truth: np.ndarray | None, history: dict[str, np.ndarray], settings: Any
 ) -> dict[str, str]:
     from cloudtomo_cl.metrics import delta, epsilon
-    from cloudtomo_cl.progress import duration
+    from cloudtomo_cl.progress import duration, with_error
 
     numbers = {}
     if truth is not None:
@@ -74,7 +74,7 @@ def _numbers(
     numbers["optical mass"] = f"{extinction.sum(dtype=float) * grid.voxel_volume:.4g} km²"
     numbers["largest optical depth"] = f"{depth.max():.3g}"
     numbers["voxels"] = " × ".join(map(str, grid.shape))
-    numbers["last cost"] = f"{history['cost'][-1]:.3g} ± {history['cost_standard_error'][-1]:.1g}"
+    numbers["last cost"] = with_error(history["cost"][-1], history["cost_standard_error"][-1])
     numbers["iterations"] = str(len(history["cost"]))
     numbers["photons"] = f"{history['photons'][-1]:.3g}"
     numbers["time"] = duration(float(history["seconds"][-1]))

@@ -50,6 +50,11 @@ class Rendering:
     _medium: Field = field(repr=False)
     _launches: list[tuple[int, Any]] = field(repr=False, default_factory=list)
 
+    def __repr__(self) -> str:
+        samples = np.mean(self.samples)
+        radiance = f"mean {self.mean.mean():.4g} W m^-2 sr^-1"
+        return f"Rendering({self.mean.size} pixels, {radiance}, {samples:.6g} paths per pixel, seed {self.seed})"
+
 
 @dataclass(frozen=True)
 class KeptLaunch:
@@ -92,6 +97,10 @@ class RadianceOperator:
     ------
     DataError : no view, or an effective radius that does not fit
     """
+
+    def __repr__(self) -> str:
+        views = f"{len(self.views)} views, {len(self.pixels)} pixels"
+        return f"RadianceOperator({views}, {self.scene.grid.text}, {self.estimator}, on {self.device.name})"
 
     @device_errors("preparing a rendering")
     def __init__(

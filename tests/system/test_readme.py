@@ -3,6 +3,10 @@
 import re
 from pathlib import Path
 
+from matplotlib import pyplot
+
+import cloudtomo_cl as ct
+
 README = Path(__file__).parents[2] / "README.md"
 PYTHON = README.parent / "docs" / "python.md"
 
@@ -13,8 +17,35 @@ def test_python_example_recovers_a_cloud(capsys):
     assert re.fullmatch(r"eps [\d.]+, largest extinction \d+ km\^-1\n", capsys.readouterr().out)
 
 
+def examples():
+    return re.findall(r"<!-- tested .*?```python\n(.*?)```", PYTHON.read_text(), flags=re.DOTALL)
+
+
+def test_notebook_goes_from_xarray_to_images_and_back(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    pyplot.switch_backend("agg")
+    grid = ct.Grid(shape=(8, 8, 8), spacing=(0.1, 0.1, 0.1))
+    ct.write_extinction("cloud.nc", grid, ct.cumulus(grid, seed=1))
+    names = {}
+    for example in examples()[1:]:
+        exec(compile(example, str(PYTHON), "exec"), names)
+    assert names["images"].radiance.sizes == {"view": 9, "row": 32, "column": 32}
+    assert len(names["costs"]) == len(names["result"].history)
+    assert names["costs"][-1][2] < names["costs"][0][2]
+    labels = [label for figure in map(pyplot.figure, pyplot.get_fignums()) for label in words(figure)]
+    assert any("mean radiance of a pixel" in label for label in labels) and any("[km]" in label for label in labels)
+    told = capsys.readouterr().out
+    assert "RadianceOperator(9 views, 9216 pixels, 8 x 8 x 8 voxels of 0.1 x 0.1 x 0.1 km" in told
+    assert "W m^-2 sr^-1" in told and "eps" in told
+    pyplot.close("all")
+
+
+def words(figure):
+    """What is written at the axes."""
+    return [text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel(), axes.get_title())]
+
+
 def test_scipy_example_comes_closer_to_the_cloud(capsys):
-    (example,) = re.findall(r"<!-- tested .*?```python\n(.*?)```", PYTHON.read_text(), flags=re.DOTALL)
-    exec(compile(example, str(PYTHON), "exec"), {})
+    exec(compile(examples()[0], str(PYTHON), "exec"), {})
     start, end = re.fullmatch(r"eps ([\d.]+) at the start, ([\d.]+) in the end\n", capsys.readouterr().out).groups()
     assert float(end) < 0.8 < float(start)

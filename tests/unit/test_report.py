@@ -10,6 +10,7 @@ import pytest
 
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.progress import with_error
 from cloudtomo_cl.report import report_page
 from cloudtomo_cl.sensors import OrthographicView
 
@@ -64,4 +65,20 @@ def test_a_difference_of_two_standard_errors_is_told():
         Measurements((view,), (np.full((2, 3), mean),), (np.full((2, 3), error),))
         for mean, error in ((1.0, 0.3), (2.0, 0.4))
     )
-    assert "<td>0</td><td>1</td><td>2</td><td>100.0%</td><td>4</td>" in page(measurements=measured, modelled=modelled)
+    text = page(measurements=measured, modelled=modelled)
+    assert "<td>0</td><td>1.000</td><td>2.000</td><td>100.0%</td><td>4</td>" in text
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (0.0155012, 2.2e-5, "0.01550 ± 0.00002"),
+        (126.3, 187.0, "100 ± 200"),
+        (13.77, 0.8, "13.8 ± 0.8"),
+        (1.0, 0.0975, "1.0 ± 0.1"),
+        (-0.04, 0.3, "0.0 ± 0.3"),
+        (2.5, 0.0, "2.5 ± 0"),
+    ],
+)
+def test_numbers_have_the_digits_that_their_errors_leave(value, error, text):
+    assert with_error(value, error) == text
