@@ -321,6 +321,7 @@ def plot_maps(figure: Figure, grid: Grid, recovered: np.ndarray, truth: np.ndarr
         image = plot_maximum(row[2], grid, volume, 0, largest)
         for panel, what in zip(row, ("optical depth", "largest along y", "largest along x")):
             panel.set_title(f"{name}: {what}", fontsize="medium")
+        row[2].set_ylabel("")  # that of its neighbour
     bars: dict[str, Any] = {"extend": "max", "shrink": 0.5, "aspect": 25}
     figure.colorbar(depth, ax=axes[:, 0], label="vertical optical depth", location="left", **bars)
     figure.colorbar(image, ax=axes[:, 2], label=EXTINCTION_LABEL, **bars)

@@ -42,6 +42,7 @@ dl.numbers dt { color: #555; font-size: .85rem; } dl.numbers dd { margin: 0; fon
 figure { margin: 1rem 0; } figure img { max-width: 100%; } figcaption, .note { color: #555; font-size: .9rem; }
 table { border-collapse: collapse; font-size: .9rem; } th, td { text-align: right; padding: .15rem .8rem; }
 th { border-bottom: 1px solid #999; font-weight: 600; } td:first-child, th:first-child { text-align: left; }
+.wide { overflow-x: auto; }
 .panels { display: flex; flex-wrap: wrap; gap: 1.5rem; } .panels figure { margin: 0; }
 canvas { image-rendering: pixelated; border: 1px solid #ccc; display: block; cursor: crosshair; }
 .controls { display: flex; flex-wrap: wrap; gap: 1rem; align-items: center; margin: .8rem 0; }
@@ -96,7 +97,7 @@ const holder = document.getElementById('panels');
 for (const panel of panels) {
   const figure = document.createElement('figure'), caption = document.createElement('figcaption');
   panel.canvas = document.createElement('canvas');
-  panel.caption = caption;
+  caption.textContent = panel.title;
   const bar = document.createElement('div'), ends = document.createElement('div');
   bar.className = 'bar'; ends.className = 'ends';
   bar.style.background = 'linear-gradient(to right,' + panel.colours.filter((c, n) => n % 16 === 0 || n === 255)
@@ -139,10 +140,9 @@ function draw() {
         panels.map(p => `${p.title} ${p.value(...place).toFixed(1)}`).join(', ') + ' km⁻¹';
     };
   }
-  const [right_name, up_name] = [names[right], names[up]];
-  for (const panel of panels) panel.caption.textContent = `${panel.title} (${right_name} to the right, ${up_name} up)`;
   const position = cloud.origin[normal] + (index + .5) * cloud.spacing[normal];
-  where.textContent = `${names[normal]} = ${position.toFixed(3)} km (layer ${index + 1} of ${cloud.shape[normal]})`;
+  where.textContent = `${names[normal]} = ${position.toFixed(3)} km (layer ${index + 1} of ${cloud.shape[normal]}); ` +
+    `${names[right]} to the right, ${names[up]} up`;
 }
 function choose() {
   slice.max = cloud.shape[+axis.value] - 1;
@@ -254,6 +254,6 @@ def _view_table(measurements: Measurements, modelled: Measurements) -> str:
         means = f"<td>{image.mean():#.4g}</td><td>{model.mean():#.4g}</td>"
         rows.append(f"<tr><td>{index}</td>{means}<td>{relative:.1%}</td><td>{square}</td></tr>")
     return (
-        "<table><tr><th>view</th><th>measured mean (W m⁻² sr⁻¹)</th><th>modelled mean</th>"
-        "<th>mean difference</th><th>mean square, standard errors</th></tr>" + "".join(rows) + "</table>"
+        "<div class='wide'><table><tr><th>view</th><th>measured mean (W m⁻² sr⁻¹)</th><th>modelled mean</th>"
+        "<th>mean difference</th><th>mean square, standard errors</th></tr>" + "".join(rows) + "</table></div>"
     )
