@@ -28,6 +28,8 @@ _FILES = {"render": "scene.toml", "reconstruct": "run.toml"}
 # Views of the example: how far off the vertical the ring is seen, and how many radii of the cloud away.
 _RING_ZENITH, _DISTANCE = 40.0, 4.0
 _FEWEST_PIXELS, _MOST_PIXELS = 32, 128
+# Meanings of keys are wrapped: no line is longer than 120 characters.
+_COMMENT_WIDTH = 84
 # Values for keys that have no default, in tables that are there as comments.
 _EXAMPLES = {
     # Molecules at 550 nm near the ground (Bodhaine et al. 1999, J. Atmos. Oceanic Technol. 16, 1854).
@@ -136,7 +138,7 @@ def scene_file(cloud: Path | None, folder: Path) -> str:
 
         views = _views_of(read_cloud(cloud))
     text = _SCENE.format(cloud=_relative(cloud, folder), **views)
-    return "\n".join([_aligned(text), *_commented("boundary", Boundary), *_commented("air", Air)])
+    return "\n".join([_aligned(text), *_commented("boundary", Boundary), *_commented("air", Air), ""])
 
 
 def run_file(measurements: Path, truth: Path | None, folder: Path) -> str:
@@ -154,8 +156,8 @@ def run_file(measurements: Path, truth: Path | None, folder: Path) -> str:
     text = _aligned(_RUN.format(measurements=_relative(measurements, folder), truth=shown))
     tables = (("run", Run), ("prior", Prior), ("optimizer", Optimizer))
     lines = [line for name, kind in tables for line in _commented(name, kind)]
-    stages = ["# Stages, from coarse to fine, as many tables as there are; without any they are chosen by the grid."]
-    return "\n".join([text, *lines, *stages, *_commented("stage", Stage, "[[stage]]")])
+    stages = ["\n# Stages, from coarse to fine, as many tables as there are; without any they are chosen by the grid."]
+    return "\n".join([text, *lines, *stages, *_commented("stage", Stage, "[[stage]]"), ""])
 
 
 def _relative(file: Path, folder: Path) -> str:
@@ -212,6 +214,7 @@ def _aligned(text: str) -> str:
 def _commented(name: str, kind: type, heading: str | None = None) -> Iterator[str]:
     """A table with its defaults, as comments."""
     import dataclasses
+    import textwrap
 
     from cloudtomo_cl.settings_reference import attribute_meanings, default_value, toml
 
@@ -221,8 +224,8 @@ def _commented(name: str, kind: type, heading: str | None = None) -> Iterator[st
         has_default, value = default_value(field)
         if not has_default or value is None:
             value = _EXAMPLES.get((name, field.name))
-        meaning = meanings.get(field.name, "")
-        if value is None:
-            yield f"# ({field.name}: {meaning})"
-        else:
-            yield f"# {field.name + ' = ' + toml(value):<31} # {meaning}"
+        code = f"{field.name} = " + ("..." if value is None else toml(value))
+        first, *more = textwrap.wrap(meanings.get(field.name, ""), _COMMENT_WIDTH) or [""]
+        yield f"# {code:<31} # {first}".rstrip(" #")
+        for line in more:
+            yield f"# {'':<31} # {line}"
