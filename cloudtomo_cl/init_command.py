@@ -224,7 +224,7 @@ def _commented(name: str, kind: type, heading: str | None = None) -> Iterator[st
         has_default, value = default_value(field)
         if not has_default or value is None:
             value = _EXAMPLES.get((name, field.name))
-        code = f"{field.name} = " + ("..." if value is None else toml(value))
+        code = field.name if value is None else f"{field.name} = {toml(value)}"
         first, *more = textwrap.wrap(meanings.get(field.name, ""), _COMMENT_WIDTH) or [""]
         yield f"# {code:<31} # {first}".rstrip(" #")
         for line in more:
