@@ -85,7 +85,7 @@ def with_error(value: float, error: float) -> str:
 
 
 class ReconstructionProgress:
-    """A callback of `reconstruct`: stage, iteration, cost with its noise, error, time left.
+    """A callback of `reconstruct`: stage, iteration, cost with its noise, error, photons per second, time left.
 
     Without a time limit the time left is the most that the present stage can take: when it ends
     depends on the cost.
@@ -103,7 +103,7 @@ class ReconstructionProgress:
 
     def __enter__(self) -> ReconstructionProgress:
         if self._console.is_terminal:
-            columns = (BarColumn(bar_width=20), TextColumn("{task.description}"), TimeElapsedColumn())
+            columns = (BarColumn(bar_width=10), TextColumn("{task.description}"), TimeElapsedColumn())
             self._bar = Progress(*columns, console=self._console, transient=True)
             self._bar.start()
             self._task = self._bar.add_task("building kernels", total=None)
@@ -127,7 +127,8 @@ class ReconstructionProgress:
             self._stage_start = self._last.seconds
         self._last = record
         if self._bar is not None and self._task is not None:
-            text = f"{self._text(record)}  {self._left(record)}"
+            speed = f"{record.photons / max(record.seconds, 1e-3):.2g} photons/s"
+            text = f"{self._text(record)}  {speed}  {self._left(record)}"
             self._bar.update(self._task, description=text, completed=record.iteration + 1, total=record.iterations)
         elif time.monotonic() - self._shown >= _PLAIN_LINE_SECONDS:
             self._line(record)
