@@ -170,8 +170,12 @@ class Device:
     def _preamble(self) -> str:
         from cloudtomo_cl.layout import declarations
 
-        # Without contraction a path takes the same turns wherever its code is inlined.
-        return "#pragma OPENCL FP_CONTRACT OFF\n" + declarations(self.opencl)
+        # Without contraction a path takes the same turns wherever its code is inlined. `inline` is an
+        # order: compilers for CPUs make functions of what is called in innermost loops. (The few large
+        # functions that they had better keep are `static`; all inlined, the kernels run 5 % faster and
+        # take twice the time to build.)
+        inlined = "#define inline inline __attribute__((always_inline))\n"
+        return "#pragma OPENCL FP_CONTRACT OFF\n" + inlined + declarations(self.opencl)
 
     def build(self, source: str) -> Any:
         """Builds OpenCL C that may include the shipped kernel headers; built once per source.

@@ -30,14 +30,14 @@ inline Ray camera_ray(const __constant Scene *scene, const __global View *view, 
     if (view->first_ray >= 0) {
         const __global float *given = rays + FLOATS_PER_RAY * ((size_t)view->first_ray + key->pixel);
         ray.position = vload3(0, given) / grid_spacing(scene);
-        ray.direction = normalize(vload3(1, given));
+        ray.direction = unit_vector(vload3(1, given));
         return ray;
     }
     const float4 jitter = uniforms(key, 0u);
     const float u = ((float)(key->pixel % (uint)view->width) + jitter.x) / (float)view->width;
     const float v = ((float)(key->pixel / (uint)view->width) + jitter.y) / (float)view->height;
     ray.position = affine(view->origin, u, v) / grid_spacing(scene);
-    ray.direction = normalize(affine(view->direction, u, v));
+    ray.direction = unit_vector(affine(view->direction, u, v));
     return ray;
 }
 

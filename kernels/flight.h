@@ -38,18 +38,18 @@ inline bool fly_outside(const Medium *medium, Ray *ray, float reach, float limit
             return false;
         distance = (top - height) / vertical;
     }
-    const float start = fmin(height, top);
+    const float start = lesser(height, top);
     int k = interval(medium->level, layers + 1, start);
     if (vertical < 0.0f && start <= medium->level[k])
         --k;
     for (; k >= 0 && k < layers; k += vertical > 0.0f ? 1 : -1) {
         const float face = medium->level[vertical > 0.0f ? k + 1 : k];
         const float exit = vertical == 0.0f ? INFINITY : (face - height) / vertical;
-        const float end = fmin(exit, limit);
+        const float end = lesser(exit, limit);
         const float air = medium->layer[k];
-        const float depth = flight->depth + (air > 0.0f ? air * fmax(end - distance, 0.0f) : 0.0f);
+        const float depth = flight->depth + (air > 0.0f ? air * greater(end - distance, 0.0f) : 0.0f);
         if (depth >= reach) {
-            distance = fmin(distance + (reach - flight->depth) / air, end);
+            distance = lesser(distance + (reach - flight->depth) / air, end);
             ray->position = wrapped(scene, ray->position + distance * ray->direction / spacing);
             ray->inside = false;
             flight->collided = true;
@@ -70,7 +70,7 @@ inline bool fly_outside(const Medium *medium, Ray *ray, float reach, float limit
 
 /* Flies along the ray until it has crossed the optical depth `reach` (a collision) or left all
  * that scatters; moves the ray there. `carried` is what its crossings deposit. */
-inline Flight fly(const Medium *medium, Ray *ray, float reach, Carried carried, Record *record)
+static Flight fly(const Medium *medium, Ray *ray, float reach, Carried carried, Record *record)
 {
     const __constant Scene *scene = medium->scene;
     Flight flight = {false, false, false, 0.0f, 0.0f, 0.0f, -1};
@@ -92,11 +92,11 @@ inline Flight fly(const Medium *medium, Ray *ray, float reach, Carried carried, 
         const float exit = walk_exit(&walk);
         const float length = exit - walk.distance;
         const float droplets = medium->extinction[walk.index];
-        const float air = medium->air[walk.voxel.z];
+        const float air = medium->air[walk_layer(scene, &walk)];
         const float extinction = droplets + air;
         const float depth = flight.depth + extinction * length;
         if (depth >= reach) {
-            const float part = fmin((reach - flight.depth) / extinction, length);
+            const float part = lesser((reach - flight.depth) / extinction, length);
             deposit_crossing(record, walk.index, part, carried);
             move_to_walk(scene, ray, &walk, walk.distance + part);
             flight.collided = true;
@@ -117,7 +117,7 @@ inline Flight fly(const Medium *medium, Ray *ray, float reach, Carried carried, 
         if (!goes_on) {
             ray->position += walk.distance * ray->direction / grid_spacing(scene);
             ray->inside = false;
-            flight.through_side = (uint)walk.voxel.z < (uint)scene->shape[2];
+            flight.through_side = walk.ahead_z >= 0;
 #ifdef CLOUDTOMO_ATMOSPHERE
             fly_outside(medium, ray, reach, INFINITY, &flight);
 #endif

@@ -14,9 +14,10 @@ __kernel void replay_paths(__constant Scene *scene, const __global View *views,
                            const __global float2 *adjoint,      /* per pixel: even, odd samples */
                            volatile __global Accumulator *gradient)
 {
-    const size_t path = get_global_id(0);
-    if (path >= path_count)
+    const size_t item = get_global_id(0);
+    if (item >= path_count)
         return;
+    const uint path = path_of_item((uint)item, pixel_count, path_count);
     const uint sample = first_sample + (uint)(path / pixel_count);
     const uint pixel_in_list = path % pixel_count;
     const float2 halves = adjoint[pixel_in_list];

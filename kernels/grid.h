@@ -7,6 +7,8 @@
 #ifndef CLOUDTOMO_GRID_H
 #define CLOUDTOMO_GRID_H
 
+#include "arithmetic.h"
+
 typedef struct {
     float3 position;  /* voxel units */
     float3 direction; /* unit vector */
@@ -14,14 +16,15 @@ typedef struct {
     bool inside;      /* the position is known to lie in the domain */
 } Ray;
 
-/* A walk along a ray. `distance` is where the current voxel begins on the ray. */
+/* A walk along a ray, in plain numbers: compilers for CPUs keep vectors of three in memory, or
+ * take them apart and together at every step. */
 typedef struct {
-    float distance;   /* km from the ray's start */
-    float3 next;      /* km from the ray's start to the next face, per axis */
-    float3 per_voxel; /* km between faces, per axis */
-    int3 step;        /* +1 or -1, per axis */
-    int3 voxel;
-    int index;        /* of voxel, in an array [x][y][z] */
+    float distance;                         /* km from the ray's start to where the current voxel begins */
+    float next_x, next_y, next_z;           /* km from the ray's start to the next face, per axis */
+    float per_voxel_x, per_voxel_y, per_voxel_z; /* km between faces, per axis */
+    int stride_x, stride_y, stride_z;       /* to the next voxel's index, per axis */
+    int ahead_x, ahead_y, ahead_z;          /* voxels ahead in the domain, per axis; -1: it has been left */
+    int index;                              /* of the current voxel, in an array [x][y][z] */
 } VoxelWalk;
 
 inline float3 grid_spacing(const __constant Scene *scene) /* km */
@@ -61,8 +64,8 @@ inline void clip_axis(float position, float direction, float spacing, float coun
     const float per_voxel = spacing / direction;
     const float lower = -position * per_voxel;
     const float upper = (count - position) * per_voxel;
-    *near = fmax(*near, fmin(lower, upper));
-    *far = fmin(*far, fmax(lower, upper));
+    *near = greater(*near, lesser(lower, upper));
+    *far = lesser(*far, greater(lower, upper));
 }
 
 /* Moves a ray that is not inside to where it enters the domain, `distance` km ahead; false if it
@@ -81,8 +84,12 @@ inline bool enter_domain(const __constant Scene *scene, Ray *ray, float *distanc
         return false;
     float3 position = ray->position + near * ray->direction / spacing;
     position = wrapped(scene, position);
-    ray->position = clamp(position, (float3)(0.0f), count);
-    ray->voxel = min(convert_int3(ray->position), grid_shape(scene) - 1);
+    ray->position.x = within(position.x, 0.0f, count.x);
+    ray->position.y = within(position.y, 0.0f, count.y);
+    ray->position.z = within(position.z, 0.0f, count.z);
+    ray->voxel.x = (int)lesser(ray->position.x, count.x - 1.0f);
+    ray->voxel.y = (int)lesser(ray->position.y, count.y - 1.0f);
+    ray->voxel.z = (int)lesser(ray->position.z, count.z - 1.0f);
     ray->inside = true;
     *distance = near;
     return true;
@@ -94,87 +101,126 @@ inline float first_face(float position, int voxel, float direction, float per_vo
         return INFINITY;
     const float to_face = direction > 0.0f ? (float)(voxel + 1) - position
                                            : position - (float)voxel;
-    return fmax(to_face, 0.0f) * per_voxel;
+    return greater(to_face, 0.0f) * per_voxel;
 }
 
 inline VoxelWalk walk_begin(const __constant Scene *scene, const Ray *ray)
 {
+    const float3 direction = ray->direction, position = ray->position;
+    const int3 voxel = ray->voxel;
+    const bool east = direction.x > 0.0f, north = direction.y > 0.0f, up = direction.z > 0.0f;
+    const int layers = scene->shape[2], rows = scene->shape[1];
     VoxelWalk walk;
     walk.distance = 0.0f;
-    walk.per_voxel = grid_spacing(scene) / fabs(ray->direction);
-    walk.next.x = first_face(ray->position.x, ray->voxel.x, ray->direction.x, walk.per_voxel.x);
-    walk.next.y = first_face(ray->position.y, ray->voxel.y, ray->direction.y, walk.per_voxel.y);
-    walk.next.z = first_face(ray->position.z, ray->voxel.z, ray->direction.z, walk.per_voxel.z);
-    walk.step.x = ray->direction.x > 0.0f ? 1 : -1;
-    walk.step.y = ray->direction.y > 0.0f ? 1 : -1;
-    walk.step.z = ray->direction.z > 0.0f ? 1 : -1;
-    walk.voxel = ray->voxel;
-    walk.index = voxel_index(scene, ray->voxel);
+    walk.per_voxel_x = scene->spacing[0] / magnitude(direction.x);
+    walk.per_voxel_y = scene->spacing[1] / magnitude(direction.y);
+    walk.per_voxel_z = scene->spacing[2] / magnitude(direction.z);
+    walk.next_x = first_face(position.x, voxel.x, direction.x, walk.per_voxel_x);
+    walk.next_y = first_face(position.y, voxel.y, direction.y, walk.per_voxel_y);
+    walk.next_z = first_face(position.z, voxel.z, direction.z, walk.per_voxel_z);
+    walk.stride_x = east ? rows * layers : -rows * layers;
+    walk.stride_y = north ? layers : -layers;
+    walk.stride_z = up ? 1 : -1;
+    walk.ahead_x = east ? scene->shape[0] - 1 - voxel.x : voxel.x;
+    walk.ahead_y = north ? rows - 1 - voxel.y : voxel.y;
+    walk.ahead_z = up ? layers - 1 - voxel.z : voxel.z;
+    walk.index = voxel_index(scene, voxel);
     return walk;
+}
+
+/* The voxel's number along z. */
+inline int walk_layer(const __constant Scene *scene, const VoxelWalk *walk)
+{
+    return walk->stride_z > 0 ? scene->shape[2] - 1 - walk->ahead_z : walk->ahead_z;
+}
+
+inline int3 walk_voxel(const __constant Scene *scene, const VoxelWalk *walk)
+{
+    return (int3)(walk->stride_x > 0 ? scene->shape[0] - 1 - walk->ahead_x : walk->ahead_x,
+                  walk->stride_y > 0 ? scene->shape[1] - 1 - walk->ahead_y : walk->ahead_y, walk_layer(scene, walk));
 }
 
 /* km from the ray's start to where it leaves the current voxel. */
 inline float walk_exit(const VoxelWalk *walk)
 {
-    return fmin(walk->next.z, fmin(walk->next.x, walk->next.y));
+    return lesser(walk->next_z, lesser(walk->next_x, walk->next_y));
+}
+
+/* In a periodic domain: comes back in on the other side. */
+inline void walk_wrap(const __constant Scene *scene, VoxelWalk *walk)
+{
+    if (walk->ahead_x < 0) {
+        walk->ahead_x += scene->shape[0];
+        walk->index -= walk->stride_x * scene->shape[0];
+    }
+    if (walk->ahead_y < 0) {
+        walk->ahead_y += scene->shape[1];
+        walk->index -= walk->stride_y * scene->shape[1];
+    }
 }
 
 /* To the next voxel; false if that leaves the domain. */
 inline bool walk_advance(const __constant Scene *scene, VoxelWalk *walk, float exit)
 {
+    const bool z = walk->next_z == exit;
+    const bool x = !z && walk->next_x == exit;
+    const bool y = !z && !x;
     walk->distance = exit;
-    if (walk->next.z == exit) {
-        walk->voxel.z += walk->step.z;
-        walk->next.z += walk->per_voxel.z;
-        walk->index += walk->step.z;
-        return (uint)walk->voxel.z < (uint)scene->shape[2];
-    }
-    if (walk->next.x == exit) {
-        walk->voxel.x += walk->step.x;
-        walk->next.x += walk->per_voxel.x;
-        if ((uint)walk->voxel.x >= (uint)scene->shape[0]) {
-            if (!scene->periodic)
-                return false;
-            walk->voxel.x -= walk->step.x * scene->shape[0];
-        }
-    } else {
-        walk->voxel.y += walk->step.y;
-        walk->next.y += walk->per_voxel.y;
-        if ((uint)walk->voxel.y >= (uint)scene->shape[1]) {
-            if (!scene->periodic)
-                return false;
-            walk->voxel.y -= walk->step.y * scene->shape[1];
-        }
-    }
-    walk->index = voxel_index(scene, walk->voxel);
+    walk->next_x += x ? walk->per_voxel_x : 0.0f;
+    walk->next_y += y ? walk->per_voxel_y : 0.0f;
+    walk->next_z += z ? walk->per_voxel_z : 0.0f;
+    walk->ahead_x -= x;
+    walk->ahead_y -= y;
+    walk->ahead_z -= z;
+    walk->index += z ? walk->stride_z : x ? walk->stride_x : walk->stride_y;
+    if ((walk->ahead_x | walk->ahead_y | walk->ahead_z) >= 0)
+        return true;
+    if (!scene->periodic || walk->ahead_z < 0)
+        return false;
+    walk_wrap(scene, walk);
     return true;
+}
+
+/* The voxels along one axis that a ray has crossed where it is `exit` km from its start. */
+inline void skip_axis(float exit, float per_voxel, int stride, int most, float *next, int *ahead, int *index)
+{
+    if (*next > exit)
+        return;
+    const int reached = (int)((exit - *next) / per_voxel) + 1;
+    const int crossed = reached < most ? reached : most;
+    *next += (float)crossed * per_voxel;
+    *ahead -= crossed;
+    *index += crossed * stride;
 }
 
 /* From a voxel with nothing within `clear` voxels of it (itself included, along every axis) to where
  * the ray leaves that cube, or the domain: false then. */
 inline bool walk_skip(const __constant Scene *scene, VoxelWalk *walk, int clear)
 {
-    const float3 beyond = walk->next + (float)(clear - 1) * walk->per_voxel;
-    const int3 ahead = select(walk->voxel, grid_shape(scene) - 1 - walk->voxel, walk->step > 0);
-    float3 leave = walk->next + convert_float3(ahead) * walk->per_voxel;
-    if (scene->periodic)
-        leave.xy = (float2)(INFINITY);
-    const float leave_first = fmin(leave.z, fmin(leave.x, leave.y));
-    const float exit = fmin(fmin(beyond.z, fmin(beyond.x, beyond.y)), leave_first);
+    const bool periodic = scene->periodic;
+    const float side = (float)(clear - 1);
+    const float beyond = lesser(walk->next_z + side * walk->per_voxel_z,
+                                lesser(walk->next_x + side * walk->per_voxel_x, walk->next_y + side * walk->per_voxel_y));
+    /* A ray along an axis never meets the others' faces: no 0 * infinity. */
+    const float leave_x = periodic || walk->next_x == INFINITY ? INFINITY : walk->next_x + (float)walk->ahead_x * walk->per_voxel_x;
+    const float leave_y = periodic || walk->next_y == INFINITY ? INFINITY : walk->next_y + (float)walk->ahead_y * walk->per_voxel_y;
+    const float leave_z = walk->next_z == INFINITY ? INFINITY : walk->next_z + (float)walk->ahead_z * walk->per_voxel_z;
+    const float leave_first = lesser(leave_z, lesser(leave_x, leave_y));
+    const float exit = lesser(beyond, leave_first);
     walk->distance = exit;
     if (exit >= leave_first) {
-        if (leave.z <= exit)
-            walk->voxel.z = walk->step.z > 0 ? scene->shape[2] : -1;
+        if (leave_z <= exit)
+            walk->ahead_z = -1;
         return false;
     }
-    const int3 crossed = select((int3)(0), convert_int3((exit - walk->next) / walk->per_voxel) + 1, walk->next <= exit);
-    walk->next += select((float3)(0.0f), convert_float3(crossed) * walk->per_voxel, crossed > 0);
-    walk->voxel += crossed * walk->step;
-    if (scene->periodic) { /* the host has seen to it that `clear` is no more than the domain */
-        walk->voxel.x = (walk->voxel.x + scene->shape[0]) % scene->shape[0];
-        walk->voxel.y = (walk->voxel.y + scene->shape[1]) % scene->shape[1];
-    }
-    walk->index = voxel_index(scene, walk->voxel);
+    /* Rounding must not carry it out; across a periodic side it may go, and the host has seen to it that
+     * `clear` is no more than the domain. */
+    const int most_x = periodic ? clear : walk->ahead_x, most_y = periodic ? clear : walk->ahead_y;
+    skip_axis(exit, walk->per_voxel_x, walk->stride_x, most_x, &walk->next_x, &walk->ahead_x, &walk->index);
+    skip_axis(exit, walk->per_voxel_y, walk->stride_y, most_y, &walk->next_y, &walk->ahead_y, &walk->index);
+    skip_axis(exit, walk->per_voxel_z, walk->stride_z, walk->ahead_z, &walk->next_z, &walk->ahead_z, &walk->index);
+    if (periodic)
+        walk_wrap(scene, walk);
     return true;
 }
 
@@ -182,14 +228,17 @@ inline bool walk_skip(const __constant Scene *scene, VoxelWalk *walk, int clear)
 inline void move_to_walk(const __constant Scene *scene, Ray *ray, const VoxelWalk *walk, float distance)
 {
     float3 position = ray->position + distance * ray->direction / grid_spacing(scene);
-    const float3 corner = convert_float3(walk->voxel);
+    const int3 voxel = walk_voxel(scene, walk);
+    const float3 corner = convert_float3(voxel);
     if (scene->periodic) {
         const float2 count = (float2)((float)scene->shape[0], (float)scene->shape[1]);
         position.xy -= count * rint((position.xy - corner.xy - 0.5f) / count);
     }
     /* Rounding may put the point a hair outside of the voxel that the walk is in. */
-    ray->position = clamp(position, corner, corner + 1.0f);
-    ray->voxel = walk->voxel;
+    ray->position.x = within(position.x, corner.x, corner.x + 1.0f);
+    ray->position.y = within(position.y, corner.y, corner.y + 1.0f);
+    ray->position.z = within(position.z, corner.z, corner.z + 1.0f);
+    ray->voxel = voxel;
     ray->inside = true;
 }
 

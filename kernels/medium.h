@@ -54,10 +54,10 @@ inline float droplet_density(const Medium *medium, int row, float3 from, float3 
 {
 #ifdef CLOUDTOMO_PHASE_TABLE
     const float3 turn = to - from;
-    return table_density(&medium->table, row, 0.25f * dot(turn, turn));
+    return table_density(&medium->table, row, 0.25f * scalar_product(turn, turn));
 #else
     const __constant Scene *scene = medium->scene;
-    return double_henyey_greenstein(dot(from, to), scene->forward_g, scene->backward_g, scene->forward_fraction);
+    return double_henyey_greenstein(scalar_product(from, to), scene->forward_g, scene->backward_g, scene->forward_fraction);
 #endif
 }
 
@@ -77,8 +77,8 @@ inline float sample_droplet(const Medium *medium, int row, float u)
 inline float scatter_density(const Medium *medium, Particle particle, float3 from, float3 to)
 {
     switch (particle) {
-    case PARTICLE_MOLECULE: return rayleigh(dot(from, to));
-    case PARTICLE_SURFACE: return fmax(to.z, 0.0f) * ONE_OVER_PI;
+    case PARTICLE_MOLECULE: return rayleigh(scalar_product(from, to));
+    case PARTICLE_SURFACE: return greater(to.z, 0.0f) * ONE_OVER_PI;
     default: return droplet_density(medium, particle, from, to);
     }
 }
@@ -87,7 +87,7 @@ inline float3 sample_scatter(const Medium *medium, Particle particle, float3 fro
 {
     switch (particle) {
     case PARTICLE_MOLECULE: return direction_around(from, sample_rayleigh(u.x), u.y);
-    case PARTICLE_SURFACE: return direction_around((float3)(0.0f, 0.0f, 1.0f), sqrt(u.x), u.y);
+    case PARTICLE_SURFACE: return direction_around((float3)(0.0f, 0.0f, 1.0f), square_root(u.x), u.y);
     default: return direction_around(from, sample_droplet(medium, particle, u.x), u.y);
     }
 }

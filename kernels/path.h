@@ -22,6 +22,14 @@
 #endif
 #include "flight.h"
 
+/* The path that a work item walks: neighbours in a work group walk paths of the same pixel, which go through
+ * the same voxels, and end early all together where there is no cloud. */
+inline uint path_of_item(uint item, uint pixel_count, uint path_count)
+{
+    const uint samples = path_count / pixel_count;
+    return item % samples * pixel_count + item / samples;
+}
+
 /* Paths lighter than this are continued with probability weight / PATH_ROULETTE_WEIGHT. */
 #define PATH_ROULETTE_WEIGHT 0.1f
 /* Side flights aimed at the sun: expected number per unit of weight x phase function (sr),
@@ -36,7 +44,7 @@
 /* Radiance of the sunlight that reaches the ray's position: weight (sr^-1) times the
  * transmittance to the sun. A threshold above 0 (sr^-1) plays a roulette that ends walks
  * which would bring less; the mean is kept. Beyond the scene's truncation it is cut. */
-inline float local_estimate(const Medium *medium, const Ray *at, float weight, float threshold, float u,
+static float local_estimate(const Medium *medium, const Ray *at, float weight, float threshold, float u,
                             Record *record)
 {
     const float least = u * threshold;
@@ -44,10 +52,10 @@ inline float local_estimate(const Medium *medium, const Ray *at, float weight, f
         return 0.0f;
     Ray ray = *at;
     ray.direction = sun_direction(medium->scene);
-    const float reach = threshold > 0.0f ? log(weight / least) : INFINITY;
+    const float reach = threshold > 0.0f ? logarithm(weight / least) : INFINITY;
     const Flight flight = fly(medium, &ray, reach, nothing_carried(), record);
-    const float radiance = flight.collided ? 0.0f : fmax(weight * exp(-flight.depth), threshold);
-    const float kept = fmin(radiance, medium->scene->truncation);
+    const float radiance = flight.collided ? 0.0f : greater(weight * exponential(-flight.depth), threshold);
+    const float kept = lesser(radiance, medium->scene->truncation);
     record->removed += radiance - kept;
     return kept;
 }
@@ -69,7 +77,7 @@ inline void deposit_local_estimate(const Medium *medium, const Ray *at, float ra
  * next order's sunlight, combined with the path's own next collision by the balance heuristic
  * (Veach and Guibas 1995); they take the load of the rare, huge local estimates that a
  * forward peak gives. `count` is their expected number. */
-inline void side_flights(const Medium *medium, const Ray *at, Particle particle, float weight, float count,
+static void side_flights(const Medium *medium, const Ray *at, Particle particle, float weight, float count,
                          const SampleKey *key, uint event, float u, Record *record)
 {
     const float3 sun = sun_direction(medium->scene);
@@ -84,7 +92,7 @@ inline void side_flights(const Medium *medium, const Ray *at, Particle particle,
         if (!(density > 0.0f))
             continue;
         const Ray start = ray;
-        const float reach = -log(v.x);
+        const float reach = -logarithm(v.x);
         const float share = density / (density + count * sun_density(medium, ray.direction));
 #ifdef CLOUDTOMO_FIELD
         Ray crossing = start;
@@ -122,7 +130,7 @@ inline bool reach_surface(const __constant Scene *scene, Ray *ray)
         return false;
     const float3 spacing = grid_spacing(scene);
     const float height = ray->position.z * spacing.z + scene->base_height; /* km above ground */
-    ray->position += fmax(height, 0.0f) / -ray->direction.z * ray->direction / spacing;
+    ray->position += greater(height, 0.0f) / -ray->direction.z * ray->direction / spacing;
     ray->position.z = -scene->base_height / spacing.z;
     return true;
 }
@@ -147,7 +155,7 @@ inline void trace_path(const Medium *medium, Ray ray, const SampleKey *key, Reco
     for (uint event = 1u;; ++event) {
         const float4 u = uniforms(key, event * BLOCKS_PER_EVENT + BLOCK_EVENT);
         const float4 v = uniforms(key, event * BLOCKS_PER_EVENT + BLOCK_ROULETTE);
-        const float reach = -log(u.x);
+        const float reach = -logarithm(u.x);
 #ifdef CLOUDTOMO_FIELD
         /* What a flight brings is known at its end: it is flown again, to deposit. */
         Ray start = ray;
@@ -215,8 +223,8 @@ inline void trace_path(const Medium *medium, Ray ray, const SampleKey *key, Reco
         const float3 onward = sample_scatter(medium, particle, ray.direction, u.zw);
 #ifndef CLOUDTOMO_FLUX
         if (scene->side_flights) {
-            const float wide = henyey_greenstein(dot(ray.direction, sun), scene->wide_g);
-            const float count = clamp(SIDE_FLIGHT_RATE * weight * wide, SIDE_FLIGHT_LEAST, SIDE_FLIGHT_MOST);
+            const float wide = henyey_greenstein(scalar_product(ray.direction, sun), scene->wide_g);
+            const float count = within(SIDE_FLIGHT_RATE * weight * wide, SIDE_FLIGHT_LEAST, SIDE_FLIGHT_MOST);
             side_flights(medium, &ray, particle, weight, count, key, event, v.z, record);
             const float density = scatter_density(medium, particle, ray.direction, onward);
             own_share = density / (density + count * sun_density(medium, onward));

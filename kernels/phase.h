@@ -4,6 +4,8 @@
 #ifndef CLOUDTOMO_PHASE_H
 #define CLOUDTOMO_PHASE_H
 
+#include "arithmetic.h"
+
 #define ONE_OVER_PI 0.318309886183790672f /* 1 / pi, sr^-1 of a Lambertian surface */
 
 /* Henyey and Greenstein 1941. g: asymmetry, -1 < g < 1. Written so that nothing cancels at
@@ -11,15 +13,16 @@
 inline float henyey_greenstein(float cosine, float g)
 {
     const float off_peak = 1.0f - (g < 0.0f ? -cosine : cosine);
-    const float base = (1.0f - fabs(g)) * (1.0f - fabs(g)) + 2.0f * fabs(g) * fmax(off_peak, 0.0f);
-    return 0.25f * ONE_OVER_PI * (1.0f - g * g) / (base * sqrt(base));
+    const float size = magnitude(g);
+    const float base = (1.0f - size) * (1.0f - size) + 2.0f * size * greater(off_peak, 0.0f);
+    return 0.25f * ONE_OVER_PI * (1.0f - g * g) / (base * square_root(base));
 }
 
 /* The inverse of its distribution function, for g of either sign and 0. */
 inline float sample_henyey_greenstein(float u, float g)
 {
     const float ratio = (1.0f - g) / (1.0f - g + 2.0f * g * u);
-    return clamp(1.0f - 2.0f * (1.0f - u) * (1.0f + g * u) * ratio * ratio, -1.0f, 1.0f);
+    return within(1.0f - 2.0f * (1.0f - u) * (1.0f + g * u) * ratio * ratio, -1.0f, 1.0f);
 }
 
 /* forward_fraction x HG(forward_g) + the rest x HG(backward_g). */
@@ -36,7 +39,7 @@ inline float sample_double_henyey_greenstein(float u, float forward_g, float bac
 {
     const float backward = 1.0f - forward_fraction;
     return u < backward ? sample_henyey_greenstein(u / backward, backward_g)
-                        : sample_henyey_greenstein(fmin((u - backward) / forward_fraction, 1.0f), forward_g);
+                        : sample_henyey_greenstein(lesser((u - backward) / forward_fraction, 1.0f), forward_g);
 }
 
 /* Scalar Rayleigh: 3 / (16 pi) (1 + cos^2). */
@@ -49,8 +52,8 @@ inline float rayleigh(float cosine)
 inline float sample_rayleigh(float u)
 {
     const float q = 4.0f * u - 2.0f;
-    const float root = cbrt(fabs(q) + sqrt(q * q + 1.0f)); /* >= 1: no cancellation */
-    return clamp(copysign(root - 1.0f / root, q), -1.0f, 1.0f);
+    const float root = cbrt(magnitude(q) + square_root(q * q + 1.0f)); /* >= 1: no cancellation */
+    return within(copysign(root - 1.0f / root, q), -1.0f, 1.0f);
 }
 
 /* A table of phase functions. Its variable is s = (1 - cosine) / 2 = sin^2(angle / 2), in which
@@ -82,7 +85,7 @@ inline float table_density(const PhaseTable *table, int row, float s)
     const int j = interval(table->node, table->nodes, s);
     const __global float *density = table->density + row * table->nodes;
     const float part = (s - table->node[j]) / (table->node[j + 1] - table->node[j]);
-    return mix(density[j], density[j + 1], clamp(part, 0.0f, 1.0f));
+    return mix(density[j], density[j + 1], within(part, 0.0f, 1.0f));
 }
 
 /* The inverse of its distribution function: the cosine grows with u. */
@@ -94,26 +97,25 @@ inline float sample_table(const PhaseTable *table, int row, float u)
     const int j = interval(cumulative, table->nodes, share);
     const float width = table->node[j + 1] - table->node[j];
     /* 4 pi (density x + slope x^2 / 2) = what is left of the share; solved without cancellation. */
-    const float rest = 0.25f * ONE_OVER_PI * fmax(share - cumulative[j], 0.0f);
+    const float rest = 0.25f * ONE_OVER_PI * greater(share - cumulative[j], 0.0f);
     const float slope = (density[j + 1] - density[j]) / width;
-    const float root = sqrt(fmax(density[j] * density[j] + 2.0f * slope * rest, 0.0f));
+    const float root = square_root(greater(density[j] * density[j] + 2.0f * slope * rest, 0.0f));
     const float x = rest > 0.0f ? 2.0f * rest / (density[j] + root) : 0.0f;
-    return 1.0f - 2.0f * (table->node[j] + clamp(x, 0.0f, width));
+    return 1.0f - 2.0f * (table->node[j] + within(x, 0.0f, width));
 }
 
 /* A unit vector at the given cosine from `axis` and azimuth 2 pi u around it
  * (frame: Duff et al. 2017, "Building an orthonormal basis, revisited"). */
 inline float3 direction_around(float3 axis, float cosine, float u)
 {
-    const float sign = copysign(1.0f, axis.z);
+    const float sign = sign_of(axis.z);
     const float a = -1.0f / (sign + axis.z);
     const float b = axis.x * axis.y * a;
     const float3 first = (float3)(1.0f + sign * axis.x * axis.x * a, sign * b, -sign * axis.x);
     const float3 second = (float3)(b, sign + axis.y * axis.y * a, -axis.y);
-    const float sine = sqrt(fmax(1.0f - cosine * cosine, 0.0f));
-    float cos_azimuth;
-    const float sin_azimuth = sincos(6.283185307179586f * u, &cos_azimuth);
-    return normalize(sine * (cos_azimuth * first + sin_azimuth * second) + cosine * axis);
+    const float sine = square_root(greater(1.0f - cosine * cosine, 0.0f));
+    const float2 azimuth = cosine_and_sine_of_turn(u);
+    return unit_vector(sine * (azimuth.x * first + azimuth.y * second) + cosine * axis);
 }
 
 #endif

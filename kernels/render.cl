@@ -12,9 +12,10 @@ __kernel void render_paths(__constant Scene *scene, const __global View *views,
                            __global float *path_radiance, /* sr^-1 */
                            volatile __global Accumulator *account)
 {
-    const size_t path = get_global_id(0);
-    if (path >= path_count)
+    const size_t item = get_global_id(0);
+    if (item >= path_count)
         return;
+    const uint path = path_of_item((uint)item, pixel_count, path_count);
     const uint2 pixel = pixels[path % pixel_count];
     const SampleKey key = {seed, iteration, pixel.y, pixel.x, first_sample + (uint)(path / pixel_count)};
     const Medium medium = make_medium(scene, extinction, table_row, clear, profiles);

@@ -32,7 +32,8 @@ typedef struct {
  * 2^32, hence the clamp to the largest float below 1: -log(u) is never 0 nor infinite. */
 inline float open_uniform(uint bits)
 {
-    return fmin(((float)bits + 0.5f) * 2.3283064365386963e-10f, 0.99999994f);
+    const float scaled = ((float)bits + 0.5f) * 2.3283064365386963e-10f;
+    return scaled < 0.99999994f ? scaled : 0.99999994f;
 }
 
 inline float4 uniforms(const SampleKey *key, uint block)

@@ -21,6 +21,20 @@ __kernel void probe_open_uniform(const uint count, const __global uint *bits, __
     result[i] = open_uniform(bits[i]);
 }
 
+/* The logarithm, square root and exponential (of what is not above 0), cosine and sine of a turn. */
+__kernel void probe_arithmetic(const uint count, const __global float *positive, const __global float *negative,
+                               const __global float *turn, __global float *logarithms, __global float *roots,
+                               __global float *exponentials, __global float *cosines, __global float *sines)
+{
+    PROBE(count);
+    logarithms[i] = logarithm(positive[i]);
+    roots[i] = square_root(positive[i]);
+    exponentials[i] = exponential(negative[i]);
+    const float2 both = cosine_and_sine_of_turn(turn[i]);
+    cosines[i] = both.x;
+    sines[i] = both.y;
+}
+
 /* Henyey-Greenstein and Rayleigh at a cosine; cosines drawn from both with a uniform number. */
 __kernel void probe_phase(const uint count, const float g, const __global float *cosine, const __global float *u,
                           __global float *result)
