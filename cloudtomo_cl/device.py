@@ -167,7 +167,8 @@ class Device:
         return bool(self.opencl.host_unified_memory)
 
     @cached_property
-    def _preamble(self) -> str:
+    def preamble(self) -> str:
+        """OpenCL C that comes before every kernel's source: what host and kernels share."""
         from cloudtomo_cl.layout import declarations
 
         # Without contraction a path takes the same turns wherever its code is inlined. `inline` is an
@@ -193,7 +194,7 @@ class Device:
                 if self.accumulation == _WIDE_ATOMICS:
                     options += ["-D", "CLOUDTOMO_WIDE_ATOMICS"]
                 try:
-                    self._programs[source] = cl.Program(self.context, f"{self._preamble}\n{source}").build(options)
+                    self._programs[source] = cl.Program(self.context, f"{self.preamble}\n{source}").build(options)
                 except cl.Error as error:
                     space = any(" " in option for option in options)
                     hint = "\na space in the folder's name may be the cause: install elsewhere" if space else ""
