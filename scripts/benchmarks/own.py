@@ -71,7 +71,8 @@ def growth(quick: bool) -> Iterator[Line]:
         yield Line("growth", f"CPU time of a path, {size}^3 over {sizes[0]}^3", ratios, goal, "", 2)
     voxels = sizes[-1] ** 3 - sizes[0] ** 3
     bytes_per_voxel = (peaks[sizes[-1]] - peaks[sizes[0]]) / voxels
-    yield Line("growth", "bytes a voxel, peak of the process", (bytes_per_voxel,), "64", "a render, making the cloud too")
+    note = "a render, making the cloud too"
+    yield Line("growth", "bytes a voxel, peak of the process", (bytes_per_voxel,), "64", note)
     if not quick:
         result = child("own", "grown", 512, 4)
         note = f"peak {result['peak'] / 1e9:.1f} GB"
