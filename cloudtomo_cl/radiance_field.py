@@ -197,8 +197,10 @@ def scattering_matrix(phase_function: PhaseFunction) -> np.ndarray:
             sine = np.sqrt(1 - cosine**2)
             directions.append(np.column_stack([sine * np.cos(phi), sine * np.sin(phi), cosine]))
             angles.append((upper - lower) * 2 * np.pi / count)
-    matrix = np.empty((BINS, BINS))
+    # From j to i as from i to j, but for the bins' sizes.
+    mean = np.empty((BINS, BINS))
     for i, first in enumerate(directions):
-        for j, second in enumerate(directions):
-            matrix[i, j] = angles[j] * phase_function.density(np.clip(first @ second.T, -1, 1)).mean()
+        for j, second in enumerate(directions[: i + 1]):
+            mean[i, j] = mean[j, i] = phase_function.density(np.clip(first @ second.T, -1, 1)).mean()
+    matrix = mean * angles
     return matrix / matrix.sum(axis=1, keepdims=True)

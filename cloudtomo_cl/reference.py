@@ -30,7 +30,7 @@ from cloudtomo_cl.reference_scattering import (
     scatter,
     scatter_density,
 )
-from cloudtomo_cl.scene import Scene
+from cloudtomo_cl.scene import Air, Scene
 from cloudtomo_cl.sensors import View
 
 # docs/sampling.md gives the meaning of these numbers.
@@ -156,10 +156,14 @@ def voxel_crossings(
     return voxels[real], distances[:-1][real], lengths[real]
 
 
-@lru_cache
 def air_layers(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Levels of all layers of air, km above the ground, and the extinction of their molecules, km^-1."""
-    return scene.air_layers()
+    return _air_layers(scene.air, scene.grid)
+
+
+@lru_cache
+def _air_layers(air: Air | None, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    return (air or Air(extinction=0.0)).layers(grid)
 
 
 def outside_crossings(
@@ -169,10 +173,10 @@ def outside_crossings(
 
     Returns the layers' extinctions (km^-1), the distances at which they are entered, and the lengths (km).
     """
-    levels, extinction = air_layers(scene)
     height, rise = position[2], direction[2]
     if scene.air is None or not scene.air.is_outside or rise == 0:
         return np.zeros(0), np.zeros(0), np.zeros(0)
+    levels, extinction = air_layers(scene)
     cuts = np.sort(np.maximum((levels - height) / rise, 0.0))
     cuts = np.unique(np.concatenate([cuts, np.clip(inside or (), cuts[0], cuts[-1])]))
     starts, lengths = cuts[:-1], np.diff(cuts)
@@ -217,11 +221,12 @@ def fly(
     below = int(np.argmin(np.abs(levels - grid.origin[2])))
     total = extinction[tuple(voxels.T)] + layers[below + voxels[:, 2]]
     others, other_starts, others_crossed = outside_crossings(scene, position, direction, inside)
-    order = np.argsort(np.concatenate([starts, other_starts]), kind="stable")
-    voxels = np.concatenate([voxels, np.full((len(others), 3), -1)])[order]
-    starts = np.concatenate([starts, other_starts])[order]
-    crossed = np.concatenate([crossed, others_crossed])[order]
-    total = np.concatenate([total, others])[order]
+    if len(others):
+        order = np.argsort(np.concatenate([starts, other_starts]), kind="stable")
+        voxels = np.concatenate([voxels, np.full((len(others), 3), -1)])[order]
+        starts = np.concatenate([starts, other_starts])[order]
+        crossed = np.concatenate([crossed, others_crossed])[order]
+        total = np.concatenate([total, others])[order]
     if len(starts) == 0:
         return Flight(lengths, 0.0)
     depths = np.concatenate([[0.0], np.cumsum(total * crossed)])  # at the faces

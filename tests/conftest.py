@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from cloudtomo_cl import commands
 from cloudtomo_cl.device import choose_device
 
 
@@ -16,3 +17,12 @@ def device():
 def random():
     """Random numbers that are the same in every run and for every test."""
     return np.random.default_rng(20240611)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def quick_reports():
+    """A reconstruction's report has images of millions of paths, which no test looks at closely."""
+    patch = pytest.MonkeyPatch()
+    patch.setattr(commands, "_MODELLED_PATHS", 3e4)
+    yield
+    patch.undo()

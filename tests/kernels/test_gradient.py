@@ -21,7 +21,7 @@ from cloudtomo_cl.scene import Air, Scene, Sun, Surface
 from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
 from cloudtomo_cl.transport import RadianceOperator
 
-SEED, ITERATION, SAMPLES = 8, 2, 20
+SEED, ITERATION, SAMPLES = 8, 2, 8
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)

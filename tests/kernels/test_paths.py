@@ -26,7 +26,7 @@ from scenes import (
 
 from cloudtomo_cl.transport import RadianceOperator
 
-SEED, ITERATION, SAMPLES = 5, 9, 30
+SEED, ITERATION, SAMPLES = 5, 9, 10
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)

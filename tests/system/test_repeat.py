@@ -48,7 +48,7 @@ def outputs(tmp_path_factory):
     render = ["render", str(made / "scene.toml"), "--samples", "16", "--seed", "3", "--quiet", "--output", images]
     assert main(render) == 0
     run = str(made / "run")
-    assert main(["reconstruct", str(made / "run.toml"), "--seed", "4", "--quiet", "--output", run]) == 0
+    assert main(["reconstruct", str(made / "run.toml"), "--seed", "4", "--quiet", "--no-report", "--output", run]) == 0
     for file in (made / "images.nc", made / "run" / "reconstruction.nc"):
         (alone / file.name).write_bytes(file.read_bytes())
     return alone
@@ -64,7 +64,8 @@ def test_images_are_rendered_again_bit_by_bit(outputs, tmp_path):
 
 def test_a_reconstruction_is_done_again_bit_by_bit(outputs, tmp_path):
     again = tmp_path / "run"
-    assert main(["reconstruct", str(outputs / "reconstruction.nc"), "--quiet", "--output", str(again)]) == 0
+    words = ["--quiet", "--no-report", "--output", str(again)]
+    assert main(["reconstruct", str(outputs / "reconstruction.nc"), *words]) == 0
     first, second = (xr.open_dataset(folder / "reconstruction.nc") for folder in (outputs, again))
     with first, second:
         assert np.array_equal(first.extinction, second.extinction) and float(first.extinction.max()) > 0

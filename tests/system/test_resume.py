@@ -147,6 +147,7 @@ def folder(images, tmp_path, monkeypatch):
 
 
 COMMAND = ["reconstruct", "run.toml", "--seed", "2", "--output", "run"]
+NO_REPORT = "--no-report"
 
 
 @pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143)])
@@ -181,7 +182,7 @@ def read_bits(folder):
 
 
 def test_a_run_that_fails_goes_on_with_the_same_bits(folder, monkeypatch, capsys):
-    assert main([*COMMAND[:-1], "whole"]) == 0
+    assert main([*COMMAND[:-1], "whole", NO_REPORT]) == 0
     original, calls = RadianceField.gradient, []
 
     def fail(self, *arguments):
@@ -194,21 +195,21 @@ def test_a_run_that_fails_goes_on_with_the_same_bits(folder, monkeypatch, capsys
     assert main(COMMAND) == 2
     message = capsys.readouterr().err
     assert "fell off the bus" in message and "--resume" in message and "checkpoint.npz" in message
-    assert main([*COMMAND, "--resume", "--quiet"]) == 0
+    assert main([*COMMAND, "--resume", "--quiet", NO_REPORT]) == 0
     for found, expected in zip(read_bits(folder / "run"), read_bits(folder / "whole")):
         np.testing.assert_array_equal(found, expected)
 
 
 def test_a_resume_without_a_checkpoint_starts(folder, capsys):
-    assert main([*COMMAND, "--resume"]) == 0
+    assert main([*COMMAND, "--resume", NO_REPORT]) == 0
     assert "run has no checkpoint: starting from the beginning" in capsys.readouterr().out
 
 
 def test_a_finished_run_may_be_resumed(folder):
-    assert main([*COMMAND, "--quiet"]) == 0
+    assert main([*COMMAND, "--quiet", NO_REPORT]) == 0
     before = read_bits(folder / "run")
     (folder / "run" / "history.csv").write_text("lines of a crash")
-    assert main([*COMMAND, "--quiet", "--resume"]) == 0
+    assert main([*COMMAND, "--quiet", "--resume", NO_REPORT]) == 0
     for found, expected in zip(read_bits(folder / "run"), before):
         np.testing.assert_array_equal(found, expected)
 
@@ -223,7 +224,7 @@ def test_a_finished_run_may_be_resumed(folder):
     ],
 )
 def test_a_resume_that_cannot_be_touches_nothing(folder, capsys, change, message):
-    assert main([*COMMAND, "--quiet"]) == 0
+    assert main([*COMMAND, "--quiet", NO_REPORT]) == 0
     checkpoint = folder / "run" / "checkpoint.npz"
     if "damage" in change:
         checkpoint.write_bytes(checkpoint.read_bytes()[:-1000])
