@@ -3,10 +3,9 @@ compares the bits with those of a run that nobody disturbed.
 
     python scripts/kill_and_resume.py [--kills 25] [--seed 0] [--folder DIR]
 
-Every moment is drawn anew: of how long the undisturbed run takes from its start to its end, or
-of writing itself (half of the kills wait for a checkpoint that is being written and strike
-within a few milliseconds of it). Exit status 0 if extinction and history have the same bits,
-but for the seconds of the history.
+Every moment is drawn anew: a fifth of the kills strike before the first iteration of a process, the
+others some iterations later, half of them within milliseconds of a checkpoint that is being
+written. Exit status 0 if extinction and history have the same bits, but for the history's seconds.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -34,18 +34,18 @@ zenith = 30.0
 type = "orthographic"
 zenith = 0.0
 width = 1.2
-pixels = [16, 16]
+pixels = [10, 10]
 [[view]]
 type = "orthographic"
 zenith = 50.0
 width = 1.2
-pixels = [16, 16]
+pixels = [10, 10]
 [[view]]
 type = "orthographic"
 zenith = 50.0
 azimuth = 180.0
 width = 1.2
-pixels = [16, 16]
+pixels = [10, 10]
 """
 # Checkpoints as often as it goes; stages end by themselves, or after their iterations.
 RUN = """
@@ -57,33 +57,30 @@ file = "cloud.nc"
 seed = 3
 checkpoint_interval = 0.0
 [[stage]]
-grid = [4, 4, 4]
+grid = [3, 3, 3]
 pixels = 0.5
-samples = 32
-iterations = 60
+samples = 8
+iterations = 40
 window = 10
 [[stage]]
-grid = [8, 8, 8]
-pixels = 0.8
-samples = 32
+grid = [6, 6, 6]
+samples = 8
 iterations = 60
-window = 20
-[[stage]]
-grid = [12, 12, 12]
-samples = 32
-iterations = 80
-window = 20
+window = 30
 """
+
+# Iterations after which a process is struck at the latest.
+_FARTHEST = 20
 
 
 def command(folder: Path, output: str, *options: str) -> list[str]:
-    arguments = ["reconstruct", str(folder / "run.toml"), "--output", str(folder / output), "--quiet", *options]
-    return [sys.executable, "-m", "cloudtomo_cl", *arguments]
+    arguments = ["reconstruct", str(folder / "run.toml"), "--output", str(folder / output), "--quiet", "--no-report"]
+    return [sys.executable, "-m", "cloudtomo_cl", *arguments, *options]
 
 
 def prepare(folder: Path) -> None:
     """A cloud, its images, and the settings."""
-    grid = ct.Grid(shape=(12, 12, 12), spacing=(0.08, 0.08, 0.08))
+    grid = ct.Grid(shape=(6, 6, 6), spacing=(0.16, 0.16, 0.16))
     ct.write_extinction(folder / "cloud.nc", grid, ct.cumulus(grid, seed=3, peak=40.0))
     (folder / "scene.toml").write_text(SCENE)
     (folder / "run.toml").write_text(RUN)
@@ -99,17 +96,27 @@ def bits(folder: Path) -> tuple[bytes, list[list[str]]]:
     return extinction.tobytes(), [line[:place] + line[place + 1 :] for line in lines]
 
 
-def strike(process: subprocess.Popen[bytes], folder: Path, delay: float, at_a_write: bool, rng: random.Random) -> bool:
-    """Kills after a delay, or at a write after it; False if the run ended before."""
-    end = time.monotonic() + delay
-    while time.monotonic() < end:
-        if process.poll() is not None:
-            return False
-        time.sleep(0.002)
-    if at_a_write:
-        while process.poll() is None and not list(folder.glob(".checkpoint.npz.*")):
-            pass
-        time.sleep(rng.uniform(0.0, 0.004))
+def strike(process: subprocess.Popen[bytes], folder: Path, start: float, left: int, rng: random.Random) -> bool:
+    """Kills at a random moment; False if the run ended before.
+
+    start : seconds that a process takes to its first checkpoint
+    left : iterations that this one has before it
+    """
+
+    def wait_until(reached: Callable[[], object]) -> None:
+        while process.poll() is None and not reached():
+            time.sleep(0.001)
+
+    if rng.random() < 0.2:
+        end = time.monotonic() + rng.uniform(0.0, start)
+        wait_until(lambda: time.monotonic() > end)
+    else:
+        last = reached(folder) + rng.randrange(min(left, _FARTHEST))
+        at_a_write, pause = rng.random() < 0.6, rng.random()
+        wait_until(lambda: reached(folder) > last)
+        if at_a_write:
+            wait_until(lambda: list(folder.glob(".checkpoint.npz.*")))
+        time.sleep(pause * (0.003 if at_a_write else 0.1))
     if process.poll() is not None:
         return False
     process.kill()
@@ -128,25 +135,28 @@ def main() -> int:
         folder.mkdir(parents=True, exist_ok=True)
         prepare(folder)
         start = time.monotonic()
-        subprocess.run(command(folder, "undisturbed"), check=True)
-        whole = time.monotonic() - start
-        return compare(folder, options.kills, random.Random(options.seed), whole)
+        process = subprocess.Popen(command(folder, "undisturbed"))
+        while process.poll() is None and not (folder / "undisturbed" / "checkpoint.npz").exists():
+            time.sleep(0.002)
+        begun = time.monotonic()
+        if process.wait() != 0:
+            return 1
+        return compare(folder, options.kills, random.Random(options.seed), begun - start)
 
 
-def compare(folder: Path, kills: int, rng: random.Random, whole: float) -> int:
+def compare(folder: Path, kills: int, rng: random.Random, start: float) -> int:
     """Kills and resumes; as a run ends before its kills are over, another one is begun."""
     expected = bits(folder / "undisturbed")
-    print(f"undisturbed: {len(expected[1])} iterations, {whole:.1f} s", flush=True)
+    iterations = len(expected[1])
+    print(f"undisturbed: {iterations} iterations", flush=True)
     done, runs, same, leftovers = 0, 0, 0, 0
     while done < kills or runs == 0:
         output = f"killed{runs}"
         moments = []
         while True:
-            options = ["--resume"]
-            process = subprocess.Popen(command(folder, output, *options))
-            if done < kills and strike(
-                process, folder / output, rng.uniform(0.0, 0.4 * whole), rng.random() < 0.5, rng
-            ):
+            left = iterations - reached(folder / output)
+            process = subprocess.Popen(command(folder, output, "--resume"))
+            if done < kills and left > 0 and strike(process, folder / output, start, left, rng):
                 done += 1
                 leftovers += len(list((folder / output).glob(".*.partial")))
                 moments.append(reached(folder / output))
@@ -159,7 +169,8 @@ def compare(folder: Path, kills: int, rng: random.Random, whole: float) -> int:
         equal = found == expected
         same += equal
         runs += 1
-        print(f"{output}: killed {len(moments)} times, at iterations {moments}: {'same bits' if equal else 'DIFFERS'}")
+        verdict = "same bits" if equal else "DIFFERS"
+        print(f"{output}: killed {len(moments)} times, at iterations {moments}: {verdict}", flush=True)
         if not equal:
             first = np.frombuffer(found[0], np.float32) != np.frombuffer(expected[0], np.float32)
             print(f"  {first.sum()} voxels differ; {len(found[1])} iterations")
