@@ -38,6 +38,8 @@ class Measurements:
         return cls(operator.views, images, errors)
 
     def __post_init__(self) -> None:
+        if not self.views:
+            raise DataError("measurements: there is no view: at least one image is needed")
         for name, arrays in (("images", self.images), ("standard_errors", self.standard_errors)):
             if len(arrays) != len(self.views):
                 raise DataError(f"measurements: {len(arrays)} {name} for {len(self.views)} views")

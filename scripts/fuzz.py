@@ -299,11 +299,14 @@ CASES: list[tuple[Callable[[Path, random.Random], list[str]], int]] = [
 ]  # fmt: skip
 
 
+_DRAWN = 10
+
+
 class Bench:
     """Runs cases, each in a fresh copy of the same small inputs."""
 
     def __init__(self, folder: Path) -> None:
-        from cloudtomo_cl import cli, commands
+        from cloudtomo_cl import cli, commands, plots
         from cloudtomo_cl.device import choose_device
 
         self.folder = folder
@@ -314,7 +317,10 @@ class Bench:
         self.template = folder / "template"
         if not self.template.exists():
             self.prepare()
-        # Figures take seconds; the cases of reports are those that draw them.
+        # The images of a report are rendered with millions of paths, and its figures take seconds: the cases
+        # of reports are those that make one, and few of them draw.
+        commands._MODELLED_PATHS = 1000
+        self.plots, self.draw = plots, plots.save_figures
         self.figures = commands.report
         self.commands = commands
 
@@ -347,6 +353,7 @@ class Bench:
             command = kind(folder, rng)
             before = _listing(folder)
             self.commands.report = self.figures if kind is report_case else lambda *_, **__: None
+            self.plots.save_figures = self.draw if number % _DRAWN == 0 else lambda *_, **__: []
             output, errors = io.StringIO(), io.StringIO()
             start, wrong = time.monotonic(), ""
             with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):

@@ -69,3 +69,8 @@ def test_a_pixel_that_is_not_finite_is_named(random):
     image[3, 2] = np.nan
     with pytest.raises(DataError, match="row 3, column 2"):
         Measurements((view,), (image,), (np.ones((5, 4)),))
+
+
+def test_images_without_a_view_are_refused():
+    with pytest.raises(DataError, match="there is no view"):
+        Measurements((), (), ())
