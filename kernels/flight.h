@@ -89,6 +89,7 @@ static Flight fly(const Medium *medium, Ray *ray, float reach, Carried carried, 
     flight.met_grid = true;
     VoxelWalk walk = walk_begin(scene, ray);
     for (int crossing = 0; crossing < CROSSINGS_LIMIT; ++crossing) {
+        count_crossing(record);
         const float exit = walk_exit(&walk);
         const float length = exit - walk.distance;
         const float droplets = medium->extinction[walk.index];

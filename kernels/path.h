@@ -153,6 +153,7 @@ inline void trace_path(const Medium *medium, Ray ray, const SampleKey *key, Reco
     float weight = 1.0f;      /* product of single-scattering albedos, over survival */
     float own_share = 1.0f;   /* the path's part in its next collision's estimate */
     for (uint event = 1u;; ++event) {
+        count_event(record, event);
         const float4 u = uniforms(key, event * BLOCKS_PER_EVENT + BLOCK_EVENT);
         const float4 v = uniforms(key, event * BLOCKS_PER_EVENT + BLOCK_ROULETTE);
         const float reach = -logarithm(u.x);

@@ -15,6 +15,10 @@ typedef struct {
     float radiance; /* local estimates so far, sr^-1 */
     float removed;  /* by truncation, sr^-1 */
     bool lost;
+#ifdef CLOUDTOMO_EVENTS_COUNTED
+    __global ushort *crossings; /* by event; later ones than are counted in the last: scripts/divergence.py */
+    uint event;
+#endif
 #if defined(CLOUDTOMO_REPLAY) || defined(CLOUDTOMO_FIELD)
     float total;    /* the whole path's radiance, sr^-1 */
     float adjoint;  /* derivative of the cost with respect to this path's radiance, scaled */
@@ -49,6 +53,21 @@ inline void record_begin(Record *record)
     record->surface = 0.0f;
     record->killed = 0.0f;
     record->killed_variance = 0.0f;
+#endif
+}
+
+/* For scripts/divergence.py: nothing elsewhere. */
+inline void count_event(Record *record, uint event)
+{
+#ifdef CLOUDTOMO_EVENTS_COUNTED
+    record->event = event < CLOUDTOMO_EVENTS_COUNTED ? event : CLOUDTOMO_EVENTS_COUNTED;
+#endif
+}
+
+inline void count_crossing(Record *record)
+{
+#ifdef CLOUDTOMO_EVENTS_COUNTED
+    ++record->crossings[record->event - 1u];
 #endif
 }
 
