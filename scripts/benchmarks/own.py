@@ -7,6 +7,7 @@ import platform
 import tempfile
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -57,7 +58,7 @@ def gradient_over_forward(quick: bool) -> Iterator[Line]:
 def growth(quick: bool) -> Iterator[Line]:
     """The same 32^3 voxels of cloud on finer and finer grids, each in a process of its own."""
     sizes = (32, 64, 128, 256)
-    samples, repeats = (32, 3) if quick else (128, 5)
+    samples, repeats = (256, 3) if quick else (1024, 5)
     times: dict[int, list[float]] = {size: [] for size in sizes}
     peaks: dict[int, float] = {}
     for _ in range(repeats):
@@ -74,7 +75,7 @@ def growth(quick: bool) -> Iterator[Line]:
     note = "a render, making the cloud too"
     yield Line("growth", "bytes a voxel, peak of the process", (bytes_per_voxel,), "64", note)
     if not quick:
-        result = child("own", "grown", 512, 4)
+        result = child("own", "grown", 512, 64)
         note = f"peak {result['peak'] / 1e9:.1f} GB"
         ratio = result["seconds"] / np.median(times[32])
         yield Line("growth", "CPU time of a path, 512^3 over 32^3", (ratio,), "", note)
@@ -82,16 +83,17 @@ def growth(quick: bool) -> Iterator[Line]:
 
 def grown(size: int, samples: int) -> dict[str, float]:
     """CPU seconds of a path, and this process's peak of memory in bytes."""
-    import resource
+    import pyopencl.array
 
     case = generated(size, 48, 32)
-    operator = ct.RadianceOperator(case.scene, (case.view,))
-    operator.render(case.extinction, 2, 1)
-    _, seconds = timed(lambda: operator.render(case.extinction, samples, 2))
-    _, twice = timed(lambda: operator.render(case.extinction, 2 * samples, 3))
-    # What does not grow with the paths (clear distances, copies) is taken off.
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    return {"seconds": (twice - seconds) / samples / len(operator.pixels), "peak": peak}
+    operator = ct.RadianceOperator(case.scene, (case.view,), mask=case.extinction > 0)
+    extinction = pyopencl.array.to_device(operator.device.queue, case.extinction)
+    operator.render(extinction, 64, 1)
+    _, seconds = timed(lambda: operator.render(extinction, samples, 2))
+    # Not getrusage's peak, which begins with that of the parent.
+    status = Path("/proc/self/status").read_text()
+    peak = int(status.split("VmHWM:")[1].split()[0]) * 1024
+    return {"seconds": seconds / samples / len(operator.pixels), "peak": peak}
 
 
 def cores(quick: bool) -> Iterator[Line]:
