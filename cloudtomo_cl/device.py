@@ -6,6 +6,7 @@ import os
 import shutil
 import tempfile
 import time
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -194,7 +195,10 @@ class Device:
                 if self.accumulation == _WIDE_ATOMICS:
                     options += ["-D", "CLOUDTOMO_WIDE_ATOMICS"]
                 try:
-                    self._programs[source] = cl.Program(self.context, f"{self.preamble}\n{source}").build(options)
+                    with warnings.catch_warnings():
+                        # Remarks of a compiler that succeeded are nothing for users.
+                        warnings.simplefilter("ignore", cl.CompilerWarning)
+                        self._programs[source] = cl.Program(self.context, f"{self.preamble}\n{source}").build(options)
                 except cl.Error as error:
                     space = any(" " in option for option in options)
                     hint = "\na space in the folder's name may be the cause: install elsewhere" if space else ""
