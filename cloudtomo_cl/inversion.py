@@ -138,6 +138,7 @@ def reconstruct(
             raise DataError(f"{name} has shape {array.shape}, the grid {scene.grid.shape}")
     if not mask.any():
         raise DataError("the mask is empty: no voxel may hold cloud; are images, views and surface right?")
+    _check_start(scene, stages, optimizer)
     check_memory(scene, measurements, stages, device)
     identity = identity_of(scene, measurements, stages, prior, optimizer, mask, truth, seed)
     run = _Run(scene, stages, mask, truth, seed, time_limit, callback, stop, identity, device.name)
@@ -151,6 +152,18 @@ def reconstruct(
         if run.is_over:
             break
     return Reconstruction(scene.grid, run.on_finest_grid(extinction), mask, run.history, run.stage_ends)
+
+
+def _check_start(scene: Scene, stages: Sequence[Stage], optimizer: Optimizer) -> None:
+    """DataError if the first render would be of something that light never leaves."""
+    edge = max(max(scene.grid.with_shape(stage.grid).spacing) for stage in stages)
+    for name in ("start", "floor"):
+        value = getattr(optimizer, name)
+        if not value * edge < _LARGEST_VOXEL_DEPTH:
+            raise DataError(
+                f"optimizer.{name} is {value:g} km^-1, an optical depth of {value * edge:.3g} across a voxel of "
+                f"{edge:g} km: it must be below {_LARGEST_VOXEL_DEPTH / edge:.3g} km^-1"
+            )
 
 
 def check_memory(scene: Scene, measurements: Measurements, stages: Sequence[Stage], device: Device) -> None:

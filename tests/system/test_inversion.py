@@ -106,3 +106,10 @@ def test_lists_of_rays_take_part_in_every_stage(problem, device):
     result = recover((scene, rays, truth), device, seed=2)
     start = np.where(truth > 0, 2.0, 0.0)
     assert ct.epsilon(result.extinction, truth) < 0.9 * ct.epsilon(start, truth)
+
+
+@pytest.mark.parametrize("name", ["start", "floor"])
+def test_a_start_that_light_never_leaves_is_refused(problem, device, name):
+    """Its first render would never end."""
+    with pytest.raises(DataError, match=f"optimizer.{name} is 1e.308 km.-1"):
+        recover(problem, device, optimizer=ct.Optimizer(**{name: 1e308}))
