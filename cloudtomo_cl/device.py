@@ -189,7 +189,7 @@ class Device:
         if source not in self._programs:
             cl = _import_pyopencl()
             with _include_folders() as folders:
-                options = ["-cl-std=CL1.2"]
+                options = ["-cl-std=CL1.2", "-w"]  # no warnings on the terminal of users
                 for folder in folders:
                     options += ["-I", folder]
                 if self.accumulation == _WIDE_ATOMICS:
