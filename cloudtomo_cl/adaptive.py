@@ -10,7 +10,7 @@ import numpy as np
 
 from cloudtomo_cl.audit import combined
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.transport import RadianceOperator, Rendering
+from cloudtomo_cl.transport import RadianceOperator, Rendering, pooled
 
 # Paths per pixel of the pilot, which tells the noise and is then left out: images that share their
 # paths with the choice of how many there are would be biased (Kirk and Arvo 1991).
@@ -85,7 +85,7 @@ def render_to_error(
             first = _PILOT_SAMPLES + (0 if before is None else before.samples)
             more = part.render(extinction, count, seed, first_sample=first)
             audits.append(more.audit)
-            done[index] = more if before is None else _pooled(before, more)
+            done[index] = more if before is None else pooled(before, more)
             finished += count * len(part.pixels)
             if progress:
                 progress(finished / total)
@@ -128,18 +128,6 @@ def _samples(operator: RadianceOperator, pilot: Rendering, noise: np.ndarray, ta
         factor = noise[chosen].mean() / (target * pilot.mean[chosen].mean()) ** 2
         samples[chosen] = factor * noise[chosen]
     return samples
-
-
-def _pooled(first: Rendering, second: Rendering) -> Rendering:
-    """Two renderings of the same pixels with different paths."""
-    share = first.samples / (first.samples + second.samples)
-    return replace(
-        first,
-        mean=share * first.mean + (1 - share) * second.mean,
-        halves=share * first.halves + (1 - share) * second.halves,
-        standard_error=np.hypot(share * first.standard_error, (1 - share) * second.standard_error),
-        samples=first.samples + second.samples,
-    )
 
 
 def _assembled(parts: list[tuple[np.ndarray, Rendering]], audits: list) -> Rendering:

@@ -66,10 +66,6 @@ class Checkpoint:
         """bool, on the finest grid"""
         return self.state["mask"].astype(bool)
 
-    def part(self, name: str) -> dict[str, np.ndarray]:
-        """The arrays of one part of the state, for instance of "descent"."""
-        return {key.partition(".")[2]: array for key, array in self.state.items() if key.startswith(f"{name}.")}
-
     def check(self, identity: dict[str, Any]) -> None:
         """DataError if the run with this identity is another one; it names every key that differs."""
         differences = _differences(self.identity, json.loads(json.dumps(identity)))
@@ -91,6 +87,16 @@ class Checkpoint:
         text = json.dumps({"format": FORMAT, **header}).encode()
         with written_whole(path) as partial, open(partial, "wb") as file:
             np.savez(file, header=np.frombuffer(text, np.uint8), **self.state)  # type: ignore[arg-type]  # no array is named allow_pickle
+
+
+def joined(parts: dict[str, dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """The states of several parts as one, under "part.name"."""
+    return {f"{name}.{key}": array for name, arrays in parts.items() for key, array in arrays.items()}
+
+
+def part(state: dict[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
+    """One part out of what `joined` made."""
+    return {key.partition(".")[2]: array for key, array in state.items() if key.startswith(f"{name}.")}
 
 
 def read_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:

@@ -11,25 +11,26 @@ from typing import Any
 
 import numpy as np
 
-from cloudtomo_cl.carving import coarsened, pixels_that_see
+from cloudtomo_cl.carving import coarsened
 from cloudtomo_cl.checkpoint import Checkpoint, Checkpoints, identity_of, read_checkpoint, rows
 from cloudtomo_cl.device import Device, choose_device, device_errors
 from cloudtomo_cl.errors import DataError, TransportError
+from cloudtomo_cl.gauss_newton import GaussNewton
 from cloudtomo_cl.grid import Grid, resample_in_mask
 from cloudtomo_cl.measurements import Measurements
 from cloudtomo_cl.memory import require_reconstruction
 from cloudtomo_cl.metrics import delta, epsilon
-from cloudtomo_cl.objective import LaggedResidual, relative_weights
-from cloudtomo_cl.optimizer import Descent, Optimizer
-from cloudtomo_cl.prior import Prior, PriorOperator
-from cloudtomo_cl.radiance_field import RadianceField
+from cloudtomo_cl.optimizer import Optimizer
+from cloudtomo_cl.prior import Prior
 from cloudtomo_cl.scene import Scene
-from cloudtomo_cl.stages import Stage, automatic_stages, has_settled
+from cloudtomo_cl.seen_pixels import seen_pixels
+from cloudtomo_cl.stages import Method, Progress, Stage, automatic_stages, has_settled
+from cloudtomo_cl.stochastic_descent import PATHS_PER_ITERATION, StochasticDescent
 from cloudtomo_cl.transport import RadianceOperator
 
 _LOGGER = logging.getLogger(__name__)
 
-_PATHS_PER_ITERATION = 60_000
+_METHODS = {"gauss-newton": GaussNewton, "adam": StochasticDescent, "sgd": StochasticDescent}
 # Beyond any cloud: the optical depth across a voxel at which a descent has diverged.
 _LARGEST_VOXEL_DEPTH = 1000.0
 
@@ -170,7 +171,7 @@ def check_memory(scene: Scene, measurements: Measurements, stages: Sequence[Stag
     """DataError or DeviceError if a stage would not fit into the memory of machine and device."""
     pixels = sum(image.size for image in measurements.images)
     # Stages that do not say have as many paths in an iteration, whatever their pixels.
-    samples = max(stage.samples or -(-_PATHS_PER_ITERATION // pixels) for stage in stages)
+    samples = max(stage.samples or -(-PATHS_PER_ITERATION // pixels) for stage in stages)
     require_reconstruction(device, scene.grid.shape, [stage.grid for stage in stages], pixels, samples)
 
 
@@ -252,96 +253,54 @@ class _Run:
         stage = self.stages[index]
         mask = coarsened(self.mask, stage.grid)
         scene = replace(self.scene, grid=self.scene.grid.with_shape(stage.grid))
-        seen = _seen_pixels(measurements.at_share(stage.pixels), scene.grid, mask)
+        seen = seen_pixels(measurements.at_share(stage.pixels), scene.grid, mask)
         operator = RadianceOperator(scene, seen.views, device, seen.pixels, mask=mask)
-        samples = stage.samples or max(2, 2 * round(_PATHS_PER_ITERATION / len(seen.pixels) / 2))
-        residual = LaggedResidual(seen.radiance, relative_weights(seen.radiance), optimizer.image_memory)
-        prior_operator = PriorOperator(prior, stage.grid, device)
-        descent = Descent(optimizer, resample_in_mask(extinction, mask), mask, device)
-        field = RadianceField(operator) if optimizer.gradient == "field" else None
+        start = resample_in_mask(extinction, mask)
+        method: Method = _METHODS[optimizer.type](optimizer, prior, stage, operator, seen, start, self.seed)
         costs: list[float] = []
         errors: list[float] = []
         iteration = 0
         resumed, self.resumed = self.resumed, None
         if resumed is not None:
-            descent.restore(resumed.part("descent"))
-            residual.restore(resumed.part("residual"))
-            if field is not None:
-                field.restore(resumed.part("field"))
+            method.restore(resumed.state)
             records = [record for record in self.history if record.stage == index]
             costs = [record.cost + record.prior for record in records]
             errors = [record.cost_standard_error for record in records]
             iteration = resumed.iterations
 
         def checkpoint() -> Checkpoint:
-            return self._checkpoint(index, iteration, descent, residual, field)
+            return Checkpoint(
+                identity=self.identity,
+                device=self.device_name,
+                stage=index,
+                iterations=iteration,
+                seconds=self.seconds,
+                stage_ends=list(self.stage_ends),
+                history=rows(self.history),
+                state={**method.state(), "mask": self.mask},
+            )
 
         while iteration < stage.iterations and not has_settled(costs, errors, stage.window):
             if self.history and self.is_over:
                 break
             # Never the same random numbers twice in a run, nor those of a render, which has key 0.
-            key = len(self.history) + 1
-            rendering = operator.render(descent.extinction, samples, self.seed, key, keep_paths=True)
-            cost, error = residual.cost(rendering.halves)
-            adjoint = residual.adjoint(rendering.halves)
-            if field is None:
-                gradient = operator.gradient(rendering, adjoint)
-            else:
-                gradient, tangent = field.gradient(rendering, adjoint, descent.change)
-                residual.move(tangent)
-            prior_value, prior_gradient = prior_operator.value_and_gradient(descent.extinction, stage.prior_weight)
-            gradient = gradient + prior_gradient
-            self._check_gradient(index, iteration, gradient)
-            descent.step(gradient)
-            self._check_step(index, iteration, descent, scene.grid)
-            self.photons += samples * len(seen.pixels)
-            costs.append(cost + prior_value)
-            errors.append(error)
-            self._record(index, iteration, cost, error, prior_value, descent)
+            where = f"stage {index}, iteration {iteration} (seed {self.seed})"
+            progress = method.iterate(len(self.history) + 1, where)
+            self._check_step(index, iteration, method.extinction, scene.grid)
+            self.photons += progress.photons
+            costs.append(progress.cost + progress.prior)
+            errors.append(progress.cost_standard_error)
+            self._record(index, iteration, progress, method)
             iteration += 1
             self.checkpoints.take(len(self.history) == 1, index, iteration, checkpoint)
         self.checkpoints.take(True, index, iteration, checkpoint)
         self.stage_ends.append(self.seconds)
         _LOGGER.info("stage %d of %d ended after %.1f s", index + 1, len(self.stages), self.seconds)
-        return descent.estimate()
+        return method.estimate()
 
-    def _checkpoint(
-        self,
-        index: int,
-        iterations: int,
-        descent: Descent,
-        residual: LaggedResidual,
-        field: RadianceField | None,
-    ) -> Checkpoint:
-        parts = {"descent": descent.state(), "residual": residual.state()}
-        if field is not None:
-            parts["field"] = field.state()
-        state = {f"{part}.{name}": array for part, arrays in parts.items() for name, array in arrays.items()}
-        return Checkpoint(
-            identity=self.identity,
-            device=self.device_name,
-            stage=index,
-            iterations=iterations,
-            seconds=self.seconds,
-            stage_ends=list(self.stage_ends),
-            history=rows(self.history),
-            state={**state, "mask": self.mask},
-        )
-
-    def _check_gradient(self, index: int, iteration: int, gradient: Any) -> None:
-        """The step's projection would turn a gradient that is no number into the floor, unseen."""
-        wrong = ~np.isfinite(gradient.get())
-        if wrong.any():
-            voxel = tuple(int(i) for i in np.argwhere(wrong)[0])
-            raise TransportError(
-                f"the gradient is not finite at voxel {voxel} of the grid {wrong.shape}, in stage {index}, "
-                f"iteration {iteration} (seed {self.seed}): the device or its driver is at fault, or the optics are "
-                "extreme; try another device"
-            )
-
-    def _check_step(self, index: int, iteration: int, descent: Descent, grid: Grid) -> None:
+    def _check_step(self, index: int, iteration: int, extinction: np.ndarray, grid: Grid) -> None:
         """Stops a descent that runs away, before a render of it takes for ever."""
-        depth = descent.extinction.get() * max(grid.spacing)
+        depth = extinction * max(grid.spacing)
         wrong = ~(depth < _LARGEST_VOXEL_DEPTH)
         if wrong.any():
             voxel = tuple(int(i) for i in np.argwhere(wrong)[0])
@@ -350,15 +309,13 @@ class _Run:
                 f"{grid.shape} has the optical depth {depth[voxel]:.3g}; choose a smaller step of the optimizer"
             )
 
-    def _record(
-        self, index: int, iteration: int, cost: float, error: float, prior_value: float, descent: Descent
-    ) -> None:
+    def _record(self, index: int, iteration: int, progress: Progress, method: Method) -> None:
         stage = self.stages[index]
-        if not np.isfinite(cost + prior_value):
+        if not np.isfinite(progress.cost + progress.prior):
             raise TransportError(f"the cost is not finite in stage {index}, iteration {iteration} (seed {self.seed})")
         errors: dict[str, float] = {}
         if self.truth is not None:
-            estimate = self.on_finest_grid(descent.estimate())
+            estimate = self.on_finest_grid(method.estimate())
             errors = {"epsilon": epsilon(estimate, self.truth), "delta": delta(estimate, self.truth)}
         record = IterationRecord(
             stage=index,
@@ -367,32 +324,12 @@ class _Run:
             iterations=stage.iterations,
             seconds=self.seconds,
             photons=self.photons,
-            cost=cost,
-            cost_standard_error=error,
-            prior=prior_value,
+            cost=progress.cost,
+            cost_standard_error=progress.cost_standard_error,
+            prior=progress.prior,
             **errors,
         )
         self.history.append(record)
         if self.callback:
             self.callback(record)
 
-
-@dataclass(frozen=True)
-class _SeenPixels:
-    """The pixels of a stage: (view, row * width + column), and what was measured there."""
-
-    views: tuple
-    pixels: np.ndarray
-    radiance: np.ndarray
-
-
-def _seen_pixels(measurements: Measurements, grid: Grid, mask: np.ndarray) -> _SeenPixels:
-    """Pixels that look at voxels of the mask; the others teach little and cost as much."""
-    pixels, radiance = [], []
-    for index, (view, image) in enumerate(zip(measurements.views, measurements.images)):
-        chosen = np.flatnonzero(pixels_that_see(view, grid, mask))
-        pixels.append(np.column_stack([np.full(len(chosen), index), chosen]))
-        radiance.append(image.ravel()[chosen])
-    if not any(map(len, radiance)):
-        raise DataError("no pixel of any view looks at the mask: check the views' positions and targets")
-    return _SeenPixels(measurements.views, np.concatenate(pixels).astype(np.uint32), np.concatenate(radiance))

@@ -17,6 +17,11 @@ def relative_weights(measured: np.ndarray) -> np.ndarray:
     return 1.0 / (np.maximum(measured, 0.0) + np.sqrt(np.mean(measured**2))) ** 2
 
 
+def noise_of(variance: np.ndarray, weights: np.ndarray) -> float:
+    """What noise of the images alone adds to the data term on average: 1/2 sum_d w_d Var(m_d)."""
+    return 0.5 * float(np.sum(weights * variance))
+
+
 def cost_of_independent(
     first: np.ndarray,
     first_variance: np.ndarray,

@@ -21,7 +21,15 @@ class Optimizer:
 
     Attributes
     ----------
-    type : "adam" (Kingma and Ba 2015) or "sgd", plain gradient descent
+    type : "gauss-newton" (the derivatives of all pixels are kept and a quadratic model of the cost is
+        minimised), "adam" (Kingma and Ba 2015) or "sgd", plain gradient descent. All below but
+        `start` and `floor` is for one of them
+    discrepancy : Gauss-Newton: the prior's weight is changed until the data term is this many times
+        what noise of the images alone would give (Morozov's principle); none: the weight stays
+    image_samples : Gauss-Newton: paths for the images, times those for the derivatives
+    damping : Gauss-Newton: of the first steps, in shares of the data term's own curvature; it halves
+        from step to step, down to a tenth
+    inner_iterations : Gauss-Newton: of the minimisation of the quadratic model
     gradient : "field", by the radiance that all paths together find in a voxel (little noise, no
         1 / extinction), or "replay", the source's score function of each path by itself
     step : ADAM: length of a step in the variable; SGD: factor of the gradient
@@ -38,7 +46,11 @@ class Optimizer:
         extinction; with "replay" they lag behind, and 20 is better
     """
 
-    type: Literal["adam", "sgd"] = "adam"
+    type: Literal["gauss-newton", "adam", "sgd"] = "gauss-newton"
+    discrepancy: Positive | None = 1.0
+    image_samples: Annotated[int, Field(ge=0)] = 6
+    damping: NotNegative = 0.1
+    inner_iterations: Count = 40
     gradient: Literal["field", "replay"] = "field"
     step: Positive = 0.3
     variable: Literal["extinction", "square-root"] = "square-root"

@@ -1,4 +1,4 @@
-"""What is known of clouds before any image: smoothness, and extinction that grows with height."""
+"""What is known of clouds before any image: smoothness, growth with height, and much clear air."""
 
 from __future__ import annotations
 
@@ -14,12 +14,16 @@ from cloudtomo_cl.scene import NotNegative, Positive
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Prior:
-    """R = smoothness / 2 ||A b||^2 + monotonicity R_mon, b the extinction in km^-1.
+    """R = smoothness / 2 ||A b||^2 + monotonicity R_mon + sparsity R_clear, b the extinction in km^-1.
 
     A is the mean of a voxel's 26 neighbours minus itself; R_mon = -sum tanh(c1 Dz b) tanh(c2 b)
     over voxels with b > threshold, Dz the central difference along z from voxel to voxel.
     Source: the supplement's Eqs. 20-23, with the gradient corrected (docs/estimators.md), and
     the constants of the paper's released code.
+
+    R_clear = n sum log(1 + b / clear), n the mean of the weighted variances of the images' noise.
+    It is ours: minus the logarithm, in the data term's units, of a density 1 / (b + clear) for every
+    voxel, Jeffreys's for a scale with no preferred value. What the images leave open becomes clear.
 
     Attributes
     ----------
@@ -27,6 +31,8 @@ class Prior:
     monotonicity : mu2
     c1, c2 : km
     threshold : km^-1
+    sparsity : 0 for none, 1 for the density above
+    clear : km^-1
     """
 
     smoothness: NotNegative = 5e-5
@@ -34,6 +40,8 @@ class Prior:
     c1: Positive = 0.2
     c2: Positive = 0.05
     threshold: Annotated[float, Field(ge=0)] = 0.01
+    sparsity: NotNegative = 1.0
+    clear: Positive = 1.0
 
 
 class PriorOperator:
@@ -61,8 +69,12 @@ class PriorOperator:
         self.device.launch(self._kernels[name], int(np.prod(self.shape)), *arguments)
 
     @device_errors("the prior")
-    def value_and_gradient(self, extinction: Any, weight: float = 1.0) -> tuple[float, Any]:
-        """weight R, and its gradient (km) on the device, for an extinction on the device."""
+    def value_and_gradient(self, extinction: Any, weight: float = 1.0, noise: float = 0.0) -> tuple[float, Any]:
+        """The prior's value, and its gradient (km) on the device, for an extinction on the device.
+
+        weight : factor of smoothness and monotonicity
+        noise : n of the sparsity, the data term's unit
+        """
         prior, shape = self.prior, self._shape
         self._launch("laplacian", extinction.data, shape, self._work.data)
         self._launch("laplacian", self._work.data, shape, self._smooth.data)
@@ -80,8 +92,14 @@ class PriorOperator:
             shape,
             np.float32(weight * prior.smoothness),
             np.float32(weight * prior.monotonicity),
+            extinction.data,
+            np.float32(noise * prior.sparsity),
+            np.float32(prior.clear),
             gradient.data,
         )
         smooth = np.square(self._work.get(), dtype=np.float64).sum()
         monotone = self._value.get().sum(dtype=np.float64)
-        return weight * (prior.smoothness / 2 * smooth + prior.monotonicity * monotone), gradient
+        value = weight * (prior.smoothness / 2 * smooth + prior.monotonicity * monotone)
+        if noise * prior.sparsity > 0:
+            value += noise * prior.sparsity * float(np.log1p(extinction.get() / prior.clear, dtype=np.float64).sum())
+        return float(value), gradient

@@ -33,6 +33,8 @@ _POINTS = 12
 _OWN_CROSSINGS, _NEIGHBOUR_CROSSINGS = 5.0, 0.05
 # The table with what is added to it, on host and device, and what smoothing it takes.
 _BYTES_PER_CELL = 60
+# Entries of the Jacobian that a device makes at a time.
+_BLOCK = 1 << 25
 # After so many gradients the table is made anew, and what it held before fades.
 _FADING = 0.7
 _REFRESH = 4
@@ -78,6 +80,7 @@ class RadianceField:
         features = (*operator.features, *_FEATURES)
         self._field_paths = device.kernel("field", "field_paths", features)
         self._direct_sunlight = device.kernel("field", "direct_sunlight", features)
+        self._features = features
         cloud = operator.scene.cloud
         # Of a phase table the middle row stands for all: it is what flights to the sun are drawn from.
         albedos = getattr(cloud.phase_function, "single_scattering_albedo", None) or (cloud.single_scattering_albedo,)
@@ -111,6 +114,44 @@ class RadianceField:
             self._refresh(rendering)
         self._gradients += 1
         return self._walk(rendering, adjoint, change)
+
+    def jacobian(self, rendering: Rendering) -> np.ndarray:
+        """The derivatives of all pixels with respect to all voxels of the mask.
+
+        Returns
+        -------
+        float32, W m^-2 sr^-1 km, shape (pixels, voxels of the mask); the voxels in the order of
+        `extinction[mask]`. For the rendering's paths and the table see `gradient`.
+
+        Raises
+        ------
+        DataError : there is not memory enough
+        """
+        operator, pixels = self._operator, len(self._operator.pixels)
+        require(
+            4 * pixels * self.columns,
+            f"the Jacobian of {pixels} pixels and {self.columns} voxels",
+            'choose smaller images or a smaller grid, or optimizer.type = "adam"',
+        )
+        nothing = self._array.zeros(operator.device.queue, operator.scene.grid.shape, np.float32)
+        if self._gradients == 0:
+            self._walk(rendering, np.zeros((pixels, 2)), nothing)
+        self._refresh(rendering)
+        self._gradients += 1
+        kernel = operator.device.kernel("jacobian", "jacobian_rows", self._features)
+        jacobian = np.empty((pixels, self.columns), np.float32)
+        block = max(1, _BLOCK // self.columns)
+        unit = np.float32(operator.scene.sun.irradiance / rendering.samples)
+        for first in range(0, pixels, block):
+            count = min(block, pixels - first)
+            rows = self._array.zeros(operator.device.queue, (count, self.columns), np.float32)
+            for launch in operator.kept_launches(rendering):
+                launch.run_pixels(
+                    kernel, count, self._column, self._scattered.data, self._sunlight.data,
+                    self._field.data, np.uint32(first), np.uint32(count), np.uint32(self.columns), rows.data,
+                )  # fmt: skip
+            np.multiply(rows.get(), unit, out=jacobian[first : first + count])
+        return jacobian
 
     def state(self) -> dict[str, np.ndarray]:
         """All that a gradient changes, as arrays on the host."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -67,6 +67,11 @@ class KeptLaunch:
     def run(self, kernel: Any, *arguments: Any) -> None:
         """Runs a kernel on them; its own arguments come after those of all walks."""
         self._pace.launch(kernel, self.paths, *self._arguments, *arguments)
+
+    def run_pixels(self, kernel: Any, pixels: int, *arguments: Any) -> None:
+        """Runs a kernel of one work item a pixel, which walks all paths of its pixel."""
+        self._pace.device.launch(kernel, pixels, *self._arguments, *arguments)
+        self._pace.device.queue.finish()
 
 
 class RadianceOperator:
@@ -310,6 +315,18 @@ class RadianceOperator:
             chosen = self.pixels[:, 0] == index
             image[self.pixels[chosen, 1]] = values[chosen]
         return [image.reshape(view.pixels[1], view.pixels[0]) for image, view in zip(images, self.views)]
+
+
+def pooled(first: Rendering, second: Rendering) -> Rendering:
+    """Two renderings of the same pixels with different paths."""
+    share = first.samples / (first.samples + second.samples)
+    return replace(
+        first,
+        mean=share * first.mean + (1 - share) * second.mean,
+        halves=share * first.halves + (1 - share) * second.halves,
+        standard_error=np.hypot(share * first.standard_error, (1 - share) * second.standard_error),
+        samples=first.samples + second.samples,
+    )
 
 
 def all_pixels(views: Sequence[View]) -> np.ndarray:

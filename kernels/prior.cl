@@ -52,10 +52,11 @@ __kernel void monotonicity_terms(const __global float *extinction, const int3 sh
     inner[index] = counts ? -c2 * rise * (1.0f - presence * presence) : 0.0f;
 }
 
-/* gradient = smoothness * A^T A b + monotonicity * (Dz^T outer + inner). */
+/* gradient = smoothness * A^T A b + monotonicity * (Dz^T outer + inner) + sparsity / (clear + b). */
 __kernel void prior_gradient(const __global float *smooth, const __global float *outer,
                              const __global float *inner, const int3 shape, const float smoothness,
-                             const float monotonicity, __global float *gradient)
+                             const float monotonicity, const __global float *extinction,
+                             const float sparsity, const float clear /* km^-1 */, __global float *gradient)
 {
     const int index = get_global_id(0);
     if (index >= shape.x * shape.y * shape.z)
@@ -67,5 +68,6 @@ __kernel void prior_gradient(const __global float *smooth, const __global float 
         if (above != below)
             transposed += outer[index + u - z] * (float)((above == z) - (below == z)) / (float)(above - below);
     }
-    gradient[index] = smoothness * smooth[index] + monotonicity * (transposed + inner[index]);
+    gradient[index] = smoothness * smooth[index] + monotonicity * (transposed + inner[index])
+                      + sparsity / (clear + extinction[index]);
 }

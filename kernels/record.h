@@ -30,6 +30,9 @@ typedef struct {
     volatile __global Accumulator *field;
     const __global float *change;
     float tangent; /* derivative of the path's radiance along `change`, sr^-1 */
+#ifdef CLOUDTOMO_JACOBIAN
+    __global float *row; /* [column]: the pixel's derivatives, sr^-1 km */
+#endif
 #endif
 #else
     float absorbed;        /* weight, by droplets and molecules */
@@ -123,9 +126,13 @@ inline void deposit_crossing(Record *record, int index, float length, Carried ca
     const int place = column * DIRECTION_BINS + carried.bin;
     const float source = record->scattered[place] + carried.sun_density * record->sunlight[column];
     const float derivative = length * (carried.importance * source - carried.to_sun);
+#ifdef CLOUDTOMO_JACOBIAN
+    record->row[column] += derivative;
+#else
     record->tangent += derivative * record->change[index];
     if (record->adjoint != 0.0f)
         accumulate(record->gradient + index, record->adjoint * derivative);
+#endif
     if (carried.weight > 0.0f) {
         accumulate(record->field + 2 * place, FIELD_UNIT * length * carried.weight);
         accumulate(record->field + 2 * place + 1, FIELD_UNIT * length * carried.arriving);

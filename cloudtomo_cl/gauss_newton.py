@@ -1,0 +1,180 @@
+"""Gauss-Newton iterations: the misfit with the derivatives of all pixels, and the prior, minimised."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import minimize
+
+from cloudtomo_cl.checkpoint import joined, part
+from cloudtomo_cl.objective import cost_of_independent, noise_of, relative_weights
+from cloudtomo_cl.optimizer import Optimizer
+from cloudtomo_cl.prior import Prior, PriorOperator
+from cloudtomo_cl.radiance_field import RadianceField
+from cloudtomo_cl.seen_pixels import SeenPixels
+from cloudtomo_cl.stages import Progress, Stage
+from cloudtomo_cl.transport import RadianceOperator, pooled
+
+# Paths of an iteration that derivatives are made of.
+PATHS_PER_ITERATION = 600_000
+# Share of a predicted change of a pixel that is taken for the prediction's error.
+_TANGENT_ERROR = 0.1
+# The prior's weight changes by this factor at most from an iteration to the next.
+_WEIGHT_STEP = 2.0
+# Diagonal of A^T A (prior.py) away from the edges: 1 + 26 / 26^2.
+_SMOOTHNESS_CURVATURE = 27 / 26
+# Least curvature of a voxel, of the mean one, in scaling the variables of the inner minimisation.
+_LEAST_CURVATURE = 1e-3
+_CORRECTIONS = 20
+
+
+class GaussNewton:
+    """Renders at an extinction, takes the derivatives there, and minimises the model of the cost they give.
+
+    The images of all iterations are kept as one: their mean is carried along with the extinction by
+    the derivatives, and every iteration's own paths are averaged into it, so that noise falls while
+    the steps get smaller. Parameters as of `StochasticDescent`.
+
+    Source: Gauss-Newton with bounds; derivatives by `RadianceField.jacobian`; the prior's weight by
+    Morozov's discrepancy principle (Morozov 1966).
+    """
+
+    def __init__(
+        self,
+        optimizer: Optimizer,
+        prior: Prior,
+        stage: Stage,
+        operator: RadianceOperator,
+        seen: SeenPixels,
+        extinction: np.ndarray,
+        seed: int,
+    ) -> None:
+        import pyopencl.array as cl_array
+
+        self._array = cl_array
+        self._optimizer = optimizer
+        self._operator = operator
+        self._mask = operator.mask
+        self._seed = seed
+        self._samples = stage.samples or max(2, 2 * round(PATHS_PER_ITERATION / len(seen.pixels) / 2))
+        self._measured = seen.radiance
+        self._weights = relative_weights(seen.radiance)
+        self._measured_noise = noise_of(seen.standard_error**2, self._weights)
+        self._smoothness = prior.smoothness
+        self._curvature_of_sparsity = prior.sparsity / prior.clear**2
+        self._prior = PriorOperator(prior, operator.scene.grid.shape, operator.device)
+        self._field = RadianceField(operator)
+        self._extinction = extinction[self._mask].astype(float)  # of the mask's voxels
+        self._mean = self._extinction.copy()
+        self._image = np.zeros(len(seen.pixels))
+        self._variance = np.zeros(len(seen.pixels))
+        self._lag = 0.0  # noise_of the errors of the last step's prediction
+        self._prior_weight = stage.prior_weight
+        self._iterations = 0
+
+    @property
+    def extinction(self) -> np.ndarray:
+        """Where the iterations stand, km^-1, shape of the grid."""
+        return self._on_grid(self._extinction)
+
+    def estimate(self) -> np.ndarray:
+        return self._on_grid(self._extinction)
+
+    def _on_grid(self, values: np.ndarray) -> np.ndarray:
+        extinction = np.zeros(self._mask.shape, np.float32)
+        extinction[self._mask] = values
+        return extinction
+
+    def iterate(self, key: int, where: str) -> Progress:
+        """One step; `key` numbers its paths, `where` is for errors."""
+        operator, samples = self._operator, self._samples
+        extinction = self.extinction
+        walked = operator.render(extinction, samples, self._seed, key, keep_paths=True)
+        rendering = walked
+        if self._optimizer.image_samples:
+            more = samples * self._optimizer.image_samples
+            rendering = pooled(walked, operator.render(extinction, more, self._seed, key, first_sample=samples))
+        cost, error = self._cost(rendering.halves)
+        self._remember(rendering.mean, rendering.standard_error**2)
+        jacobian = self._field.jacobian(walked)
+        prior_value, _ = self._prior_at(self._extinction)
+        self._step(jacobian)
+        return Progress(cost, error, prior_value, rendering.samples * len(operator.pixels))
+
+    def _cost(self, halves: np.ndarray) -> tuple[float, float]:
+        variance = (halves[:, 0] - halves[:, 1]) ** 2 / 2
+        first, second = (halves - self._measured[:, None]).T
+        return cost_of_independent(first, variance, second, variance, self._weights)
+
+    def _remember(self, image: np.ndarray, variance: np.ndarray) -> None:
+        """Averages an image into that remembered, by how much noise and error each has."""
+        rate = 1.0
+        if self._iterations:
+            old = noise_of(self._variance, self._weights) + self._lag
+            rate = old / (old + noise_of(variance, self._weights))
+        self._image += rate * (image - self._image)
+        self._variance = (1 - rate) ** 2 * self._variance + rate**2 * variance
+        self._lag *= (1 - rate) ** 2
+        self._iterations += 1
+
+    @property
+    def _noise(self) -> float:
+        """The data term that noise of measured and modelled images gives."""
+        return self._measured_noise + noise_of(self._variance, self._weights)
+
+    def _prior_at(self, values: np.ndarray) -> tuple[float, np.ndarray]:
+        extinction = self._array.to_device(self._operator.device.queue, self._on_grid(values))
+        unit = 2 * self._measured_noise / len(self._measured)
+        value, gradient = self._prior.value_and_gradient(extinction, self._prior_weight, unit)
+        return value, gradient.get()[self._mask].astype(float)
+
+    def _step(self, jacobian: np.ndarray) -> None:
+        """Minimises the model: residuals and their derivatives, the prior, and a damping of the step."""
+        start, residual = self._extinction, self._image - self._measured
+        roots = np.sqrt(self._weights)
+        curvature = np.zeros(len(start))
+        block = max(1, (1 << 24) // len(start))
+        for first in range(0, len(jacobian), block):
+            curvature += self._weights[first : first + block].astype(np.float32) @ jacobian[first : first + block] ** 2
+        damping = self._optimizer.damping * max(0.5 ** (self._iterations - 1), 0.1)
+        unit = 2 * self._measured_noise / len(self._measured)
+        stiff = curvature * (1 + damping) + self._prior_weight * self._smoothness * _SMOOTHNESS_CURVATURE
+        stiff += unit * self._curvature_of_sparsity + _LEAST_CURVATURE * curvature.mean()
+        scale = 1 / np.sqrt(stiff)
+
+        def model(scaled: np.ndarray) -> tuple[float, np.ndarray]:
+            values = scaled * scale
+            change = values - start
+            misfit = roots * (residual + jacobian @ change.astype(np.float32))
+            prior, prior_gradient = self._prior_at(values)
+            held = damping * curvature * change
+            gradient = (roots * misfit).astype(np.float32) @ jacobian + held + prior_gradient
+            return 0.5 * float(misfit @ misfit + held @ change) + prior, gradient * scale
+
+        options = {"maxiter": self._optimizer.inner_iterations, "maxcor": _CORRECTIONS}
+        bounds = [(0.0, None)] * len(start)
+        found = minimize(model, start / scale, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+        self._extinction = np.maximum(found.x * scale, 0.0)
+        predicted = jacobian @ (self._extinction - start).astype(np.float32)
+        self._image += predicted
+        self._lag += noise_of((_TANGENT_ERROR * predicted) ** 2, self._weights)
+        self._adapt_prior()
+
+    def _adapt_prior(self) -> None:
+        """Brings the data term nearer to what noise gives."""
+        if self._optimizer.discrepancy is None or self._measured_noise == 0:
+            return
+        misfit = noise_of((self._image - self._measured) ** 2, self._weights)
+        excess = misfit / (self._optimizer.discrepancy * self._noise)
+        self._prior_weight *= float(np.clip(excess**-1.5, 1 / _WEIGHT_STEP, _WEIGHT_STEP))
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that an iteration changes, as arrays on the host."""
+        names = ("extinction", "image", "variance", "lag", "prior_weight", "iterations")
+        own = {name: np.array(getattr(self, f"_{name}")) for name in names}
+        return joined({"gauss_newton": own, "field": self._field.state()})
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Goes on from what `state` gave."""
+        for name, array in part(state, "gauss_newton").items():
+            setattr(self, f"_{name}", array.item() if array.ndim == 0 else array.copy())
+        self._field.restore(part(state, "field"))

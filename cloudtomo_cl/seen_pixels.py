@@ -1,0 +1,49 @@
+"""The pixels that a stage looks at, and what was measured there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cloudtomo_cl.carving import pixels_that_see
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.sensors import View
+
+
+@dataclass(frozen=True)
+class SeenPixels:
+    """Pixels that look at voxels of a mask.
+
+    Attributes
+    ----------
+    views : of the measurements
+    pixels : (view, row * width + column), uint32, shape (pixels, 2)
+    radiance, standard_error : as measured, W m^-2 sr^-1, shape (pixels,); errors are 0 where unknown
+    """
+
+    views: tuple[View, ...]
+    pixels: np.ndarray
+    radiance: np.ndarray
+    standard_error: np.ndarray
+
+
+def seen_pixels(measurements: Measurements, grid: Grid, mask: np.ndarray) -> SeenPixels:
+    """Pixels that look at voxels of the mask; the others teach little and cost as much.
+
+    Raises
+    ------
+    DataError : there are none
+    """
+    pixels, radiance, errors = [], [], []
+    for index, view in enumerate(measurements.views):
+        chosen = np.flatnonzero(pixels_that_see(view, grid, mask))
+        pixels.append(np.column_stack([np.full(len(chosen), index), chosen]))
+        radiance.append(measurements.images[index].ravel()[chosen])
+        errors.append(measurements.standard_errors[index].ravel()[chosen])
+    if not any(map(len, radiance)):
+        raise DataError("no pixel of any view looks at the mask: check the views' positions and targets")
+    listed = np.concatenate(pixels).astype(np.uint32)
+    return SeenPixels(measurements.views, listed, np.concatenate(radiance), np.concatenate(errors))

@@ -1,0 +1,109 @@
+"""Iterations of stochastic gradient descent (ADAM, SGD) on the misfit of images and the prior."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cloudtomo_cl.checkpoint import joined, part
+from cloudtomo_cl.errors import TransportError
+from cloudtomo_cl.objective import LaggedResidual, noise_of, relative_weights
+from cloudtomo_cl.optimizer import Descent, Optimizer
+from cloudtomo_cl.prior import Prior, PriorOperator
+from cloudtomo_cl.radiance_field import RadianceField
+from cloudtomo_cl.seen_pixels import SeenPixels
+from cloudtomo_cl.stages import Progress, Stage
+from cloudtomo_cl.transport import RadianceOperator
+
+PATHS_PER_ITERATION = 60_000
+
+
+class StochasticDescent:
+    """Descends by the gradient of a few paths at a time.
+
+    Parameters
+    ----------
+    optimizer, prior, stage : settings
+    operator : of the stage's grid and pixels, with a mask
+    seen : the pixels, as measured
+    extinction : where to start, km^-1, shape of the grid
+    seed : of the paths
+    """
+
+    def __init__(
+        self,
+        optimizer: Optimizer,
+        prior: Prior,
+        stage: Stage,
+        operator: RadianceOperator,
+        seen: SeenPixels,
+        extinction: np.ndarray,
+        seed: int,
+    ) -> None:
+        self._operator = operator
+        self._seed = seed
+        self._prior_weight = stage.prior_weight
+        self._samples = stage.samples or max(2, 2 * round(PATHS_PER_ITERATION / len(seen.pixels) / 2))
+        weights = relative_weights(seen.radiance)
+        self._residual = LaggedResidual(seen.radiance, weights, optimizer.image_memory)
+        self._noise = 2 * noise_of(seen.standard_error**2, weights) / len(weights)
+        self._prior = PriorOperator(prior, operator.scene.grid.shape, operator.device)
+        self._descent = Descent(optimizer, extinction, operator.mask, operator.device)
+        self._field = RadianceField(operator) if optimizer.gradient == "field" else None
+
+    @property
+    def extinction(self) -> np.ndarray:
+        """Where the descent stands, km^-1, shape of the grid."""
+        return self._descent.extinction.get()
+
+    def estimate(self) -> np.ndarray:
+        """The running mean of the extinction, km^-1, shape of the grid."""
+        return self._descent.estimate()
+
+    def iterate(self, key: int, where: str) -> Progress:
+        """One step; `key` numbers its paths, `where` is for errors.
+
+        Raises
+        ------
+        TransportError : the gradient is not finite
+        """
+        extinction = self._descent.extinction
+        rendering = self._operator.render(extinction, self._samples, self._seed, key, keep_paths=True)
+        cost, error = self._residual.cost(rendering.halves)
+        adjoint = self._residual.adjoint(rendering.halves)
+        if self._field is None:
+            gradient = self._operator.gradient(rendering, adjoint)
+        else:
+            gradient, tangent = self._field.gradient(rendering, adjoint, self._descent.change)
+            self._residual.move(tangent)
+        prior_value, prior_gradient = self._prior.value_and_gradient(extinction, self._prior_weight, self._noise)
+        gradient = gradient + prior_gradient
+        _check(gradient, where)
+        self._descent.step(gradient)
+        return Progress(cost, error, prior_value, self._samples * len(self._operator.pixels))
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that an iteration changes, as arrays on the host."""
+        parts = {"descent": self._descent.state(), "residual": self._residual.state()}
+        if self._field is not None:
+            parts["field"] = self._field.state()
+        return joined(parts)
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Goes on from what `state` gave."""
+        self._descent.restore(part(state, "descent"))
+        self._residual.restore(part(state, "residual"))
+        if self._field is not None:
+            self._field.restore(part(state, "field"))
+
+
+def _check(gradient: Any, where: str) -> None:
+    """The step's projection would turn a gradient that is no number into the floor, unseen."""
+    wrong = ~np.isfinite(gradient.get())
+    if wrong.any():
+        voxel = tuple(int(i) for i in np.argwhere(wrong)[0])
+        raise TransportError(
+            f"the gradient is not finite at voxel {voxel} of the grid {wrong.shape}, in {where}: "
+            "the device or its driver is at fault, or the optics are extreme; try another device"
+        )
