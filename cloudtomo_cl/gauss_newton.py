@@ -15,7 +15,7 @@ from cloudtomo_cl.stages import Progress, Stage
 from cloudtomo_cl.transport import RadianceOperator, pooled
 
 # Paths of an iteration that derivatives are made of.
-PATHS_PER_ITERATION = 600_000
+_PATHS_PER_ITERATION = 600_000
 # Share of a predicted change of a pixel that is taken for the prediction's error.
 _TANGENT_ERROR = 0.1
 # The prior's weight changes by this factor at most from an iteration to the next.
@@ -55,7 +55,7 @@ class GaussNewton:
         self._operator = operator
         self._mask = operator.mask
         self._seed = seed
-        self._samples = stage.samples or max(2, 2 * round(PATHS_PER_ITERATION / len(seen.pixels) / 2))
+        self._samples = stage.samples or max(2, 2 * round(_PATHS_PER_ITERATION / len(seen.pixels) / 2))
         self._measured = seen.radiance
         self._weights = relative_weights(seen.radiance)
         self._measured_noise = noise_of(seen.standard_error**2, self._weights)
@@ -77,7 +77,8 @@ class GaussNewton:
         return self._on_grid(self._extinction)
 
     def estimate(self) -> np.ndarray:
-        return self._on_grid(self._extinction)
+        """The mean of the last iterations' extinctions, km^-1, shape of the grid."""
+        return self._on_grid(self._mean)
 
     def _on_grid(self, values: np.ndarray) -> np.ndarray:
         extinction = np.zeros(self._mask.shape, np.float32)
@@ -98,6 +99,8 @@ class GaussNewton:
         jacobian = self._field.jacobian(walked)
         prior_value, _ = self._prior_at(self._extinction)
         self._step(jacobian)
+        # Over the later half of the iterations: steps differ by the noise of their derivatives.
+        self._mean += (self._extinction - self._mean) / (1 + self._iterations // 2)
         return Progress(cost, error, prior_value, rendering.samples * len(operator.pixels))
 
     def _cost(self, halves: np.ndarray) -> tuple[float, float]:
@@ -169,7 +172,7 @@ class GaussNewton:
 
     def state(self) -> dict[str, np.ndarray]:
         """All that an iteration changes, as arrays on the host."""
-        names = ("extinction", "image", "variance", "lag", "prior_weight", "iterations")
+        names = ("extinction", "mean", "image", "variance", "lag", "prior_weight", "iterations")
         own = {name: np.array(getattr(self, f"_{name}")) for name in names}
         return joined({"gauss_newton": own, "field": self._field.state()})
 

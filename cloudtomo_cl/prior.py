@@ -21,9 +21,10 @@ class Prior:
     Source: the supplement's Eqs. 20-23, with the gradient corrected (docs/estimators.md), and
     the constants of the paper's released code.
 
-    R_clear = n sum log(1 + b / clear), n the mean of the weighted variances of the images' noise.
-    It is ours: minus the logarithm, in the data term's units, of a density 1 / (b + clear) for every
-    voxel, Jeffreys's for a scale with no preferred value. What the images leave open becomes clear.
+    R_clear = n sum b / (b + clear), n the mean of the weighted variances of the measured images'
+    noise, the data term's unit. It is ours: every voxel that holds cloud costs as much as its one
+    parameter would fit of the noise (Akaike 1974's criterion, made smooth as by Geman and McClure 1985),
+    so that what the images leave open stays clear.
 
     Attributes
     ----------
@@ -31,8 +32,8 @@ class Prior:
     monotonicity : mu2
     c1, c2 : km
     threshold : km^-1
-    sparsity : 0 for none, 1 for the density above
-    clear : km^-1
+    sparsity : 1 for the criterion above, 0 for none
+    clear : km^-1, the extinction at which half of the cost is due
     """
 
     smoothness: NotNegative = 5e-5
@@ -41,7 +42,7 @@ class Prior:
     c2: Positive = 0.05
     threshold: Annotated[float, Field(ge=0)] = 0.01
     sparsity: NotNegative = 1.0
-    clear: Positive = 1.0
+    clear: Positive = 3.0
 
 
 class PriorOperator:
@@ -101,5 +102,6 @@ class PriorOperator:
         monotone = self._value.get().sum(dtype=np.float64)
         value = weight * (prior.smoothness / 2 * smooth + prior.monotonicity * monotone)
         if noise * prior.sparsity > 0:
-            value += noise * prior.sparsity * float(np.log1p(extinction.get() / prior.clear, dtype=np.float64).sum())
+            b = extinction.get().astype(float)
+            value += noise * prior.sparsity * float(np.sum(b / (b + prior.clear)))
         return float(value), gradient

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,7 +12,11 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.layout import FIELD_UNIT
 from cloudtomo_cl.memory import require
 from cloudtomo_cl.phase import PhaseFunction
+from cloudtomo_cl.sensors import RayView, View
 from cloudtomo_cl.transport import FIXED_POINT_SCALE, RadianceOperator, Rendering
+
+if TYPE_CHECKING:
+    import scipy.sparse
 
 # Rings of directions around the vertical, degrees from it, and their azimuths: cells of about
 # 0.17 sr, smaller near the vertical.
@@ -35,6 +40,7 @@ _OWN_CROSSINGS, _NEIGHBOUR_CROSSINGS = 5.0, 0.05
 _BYTES_PER_CELL = 60
 # Entries of the Jacobian that a device makes at a time.
 _BLOCK = 1 << 25
+_COLUMNS = 2048
 # After so many gradients the table is made anew, and what it held before fades.
 _FADING = 0.7
 _REFRESH = 4
@@ -121,7 +127,8 @@ class RadianceField:
         Returns
         -------
         float32, W m^-2 sr^-1 km, shape (pixels, voxels of the mask); the voxels in the order of
-        `extinction[mask]`. For the rendering's paths and the table see `gradient`.
+        `extinction[mask]`. What a path does after its first flight is shared by the pixels beside
+        each other in an image. For the rendering's paths and the table see `gradient`.
 
         Raises
         ------
@@ -129,7 +136,7 @@ class RadianceField:
         """
         operator, pixels = self._operator, len(self._operator.pixels)
         require(
-            4 * pixels * self.columns,
+            8 * pixels * self.columns,
             f"the Jacobian of {pixels} pixels and {self.columns} voxels",
             'choose smaller images or a smaller grid, or optimizer.type = "adam"',
         )
@@ -139,19 +146,24 @@ class RadianceField:
         self._refresh(rendering)
         self._gradients += 1
         kernel = operator.device.kernel("jacobian", "jacobian_rows", self._features)
-        jacobian = np.empty((pixels, self.columns), np.float32)
+        first, later = (np.empty((pixels, self.columns), np.float32) for _ in range(2))
         block = max(1, _BLOCK // self.columns)
         unit = np.float32(operator.scene.sun.irradiance / rendering.samples)
-        for first in range(0, pixels, block):
-            count = min(block, pixels - first)
-            rows = self._array.zeros(operator.device.queue, (count, self.columns), np.float32)
+        for start in range(0, pixels, block):
+            count = min(block, pixels - start)
+            rows = [self._array.zeros(operator.device.queue, (count, self.columns), np.float32) for _ in range(2)]
             for launch in operator.kept_launches(rendering):
                 launch.run_pixels(
-                    kernel, count, self._column, self._scattered.data, self._sunlight.data,
-                    self._field.data, np.uint32(first), np.uint32(count), np.uint32(self.columns), rows.data,
+                    kernel, count, self._column, self._scattered.data, self._sunlight.data, self._field.data,
+                    np.uint32(start), np.uint32(count), np.uint32(self.columns), rows[0].data, rows[1].data,
                 )  # fmt: skip
-            np.multiply(rows.get(), unit, out=jacobian[first : first + count])
-        return jacobian
+            for whole, part in zip((first, later), rows):
+                np.multiply(part.get(), unit, out=whole[start : start + count])
+        pool = neighbours(operator.views, operator.pixels)
+        # In blocks of columns, for the sake of memory.
+        for start in range(0, self.columns, _COLUMNS):
+            first[:, start : start + _COLUMNS] += pool @ later[:, start : start + _COLUMNS]
+        return first
 
     def state(self) -> dict[str, np.ndarray]:
         """All that a gradient changes, as arrays on the host."""
@@ -220,6 +232,31 @@ class RadianceField:
         ratio = np.clip((found + level) / (expected + level), 0.05, 10.0)[:, None]
         own = _OWN_CROSSINGS * edge
         return (brought + own * ratio * neighbours) / (length + own)
+
+
+def neighbours(views: Sequence[View], pixels: np.ndarray) -> scipy.sparse.csr_matrix:
+    """The mean over a pixel and those of the listed pixels that touch it in its image.
+
+    Returns a matrix (pixels, pixels), float32; rays of a `RayView` have no neighbours.
+    """
+    import scipy.sparse
+
+    rows, columns = [], []
+    for index, view in enumerate(views):
+        chosen = np.flatnonzero(pixels[:, 0] == index)
+        width, height = view.pixels
+        place = np.full((height + 2, width + 2), -1)
+        at = np.divmod(pixels[chosen, 1].astype(int), width)
+        place[at[0] + 1, at[1] + 1] = chosen
+        reach = (0,) if isinstance(view, RayView) else (-1, 0, 1)
+        for down in reach:
+            for right in reach:
+                other = place[at[0] + 1 + down, at[1] + 1 + right]
+                rows.append(chosen[other >= 0])
+                columns.append(other[other >= 0])
+    row, column = np.concatenate(rows), np.concatenate(columns)
+    share = (1 / np.bincount(row, minlength=len(pixels)))[row].astype(np.float32)
+    return scipy.sparse.csr_matrix((share, (row, column)), (len(pixels), len(pixels)))
 
 
 @lru_cache

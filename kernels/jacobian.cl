@@ -2,8 +2,9 @@
 #define CLOUDTOMO_JACOBIAN
 #include "field.cl"
 
-/* Rows of the Jacobian, for pixels from first_pixel on: sums over a launch's paths. One work item
- * walks all paths of its pixel, so that its row needs no atomics. The paths go into the field, too. */
+/* Rows of the Jacobian, for pixels from first_pixel on: sums over a launch's paths, apart for the
+ * paths' first flights and for all that follows. One work item walks all paths of its pixel, so that
+ * its row needs no atomics. The paths go into the field, too. */
 __kernel void jacobian_rows(__constant Scene *scene, const __global View *views,
                             const __global float *rays, const __global uint2 *pixels,
                             const __global float *extinction, const __global float *table_row,
@@ -16,7 +17,8 @@ __kernel void jacobian_rows(__constant Scene *scene, const __global View *views,
                             const __global float *sunlight,      /* [column]: direct, share of the irradiance */
                             volatile __global Accumulator *field /* [column][bin][2]: km, sr^-1 km */,
                             const uint first_pixel, const uint row_count, const uint column_count,
-                            __global float *rows /* [row][column]: sr^-1 km */)
+                            __global float *first_rows /* [row][column]: sr^-1 km */,
+                            __global float *later_rows)
 {
     const size_t row = get_global_id(0);
     if (row >= row_count)
@@ -33,7 +35,8 @@ __kernel void jacobian_rows(__constant Scene *scene, const __global View *views,
         record.scattered = scattered;
         record.sunlight = sunlight;
         record.field = field;
-        record.row = rows + row * column_count;
+        record.first_row = first_rows + row * column_count;
+        record.later_row = later_rows + row * column_count;
         trace_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &record);
     }
 }

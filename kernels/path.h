@@ -166,6 +166,7 @@ inline void trace_path(const Medium *medium, Ray ray, const SampleKey *key, Reco
         carried.sun_density = sun_density(medium, start.direction);
         carried.bin = direction_bin(start.direction);
         carried.weight = weight;
+        carried.is_first = event == 1u;
 #else
         const Carried carried = remaining(record);
         const Flight flight = fly(medium, &ray, reach, carried, record);

@@ -52,7 +52,7 @@ __kernel void monotonicity_terms(const __global float *extinction, const int3 sh
     inner[index] = counts ? -c2 * rise * (1.0f - presence * presence) : 0.0f;
 }
 
-/* gradient = smoothness * A^T A b + monotonicity * (Dz^T outer + inner) + sparsity / (clear + b). */
+/* gradient = smoothness * A^T A b + monotonicity * (Dz^T outer + inner) + sparsity * clear / (b + clear)^2. */
 __kernel void prior_gradient(const __global float *smooth, const __global float *outer,
                              const __global float *inner, const int3 shape, const float smoothness,
                              const float monotonicity, const __global float *extinction,
@@ -69,5 +69,5 @@ __kernel void prior_gradient(const __global float *smooth, const __global float 
             transposed += outer[index + u - z] * (float)((above == z) - (below == z)) / (float)(above - below);
     }
     gradient[index] = smoothness * smooth[index] + monotonicity * (transposed + inner[index])
-                      + sparsity / (clear + extinction[index]);
+                      + sparsity * clear / ((extinction[index] + clear) * (extinction[index] + clear));
 }

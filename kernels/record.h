@@ -31,7 +31,8 @@ typedef struct {
     const __global float *change;
     float tangent; /* derivative of the path's radiance along `change`, sr^-1 */
 #ifdef CLOUDTOMO_JACOBIAN
-    __global float *row; /* [column]: the pixel's derivatives, sr^-1 km */
+    /* [column]: the pixel's derivatives, by its paths' first flights and by all that follows, sr^-1 km */
+    __global float *first_row, *later_row;
 #endif
 #endif
 #else
@@ -94,10 +95,11 @@ typedef struct {
     int bin;           /* of its direction */
     float weight;      /* of the flight as a sample of the radiance field; 0: none */
     float arriving;    /* radiance x weight that it brings, sr^-1 */
+    bool is_first;     /* from the camera */
 } Carried;
 inline Carried nothing_carried(void)
 {
-    const Carried nothing = {0.0f, 0.0f, 0.0f, 0, 0.0f, 0.0f};
+    const Carried nothing = {0.0f, 0.0f, 0.0f, 0, 0.0f, 0.0f, false};
     return nothing;
 }
 inline Carried carried_to_sun(float radiance)
@@ -127,7 +129,7 @@ inline void deposit_crossing(Record *record, int index, float length, Carried ca
     const float source = record->scattered[place] + carried.sun_density * record->sunlight[column];
     const float derivative = length * (carried.importance * source - carried.to_sun);
 #ifdef CLOUDTOMO_JACOBIAN
-    record->row[column] += derivative;
+    (carried.is_first ? record->first_row : record->later_row)[column] += derivative;
 #else
     record->tangent += derivative * record->change[index];
     if (record->adjoint != 0.0f)
