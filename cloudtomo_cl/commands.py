@@ -112,7 +112,7 @@ def reconstruct(
     truth = None if settings.truth is None else read_truth(settings.truth.file, scene.grid)
     check_views(scene, measurements.views)
     chosen = choose_device(device)
-    stages = settings.stage or automatic_stages(scene.grid)
+    stages = settings.stage or automatic_stages(scene.grid, settings.optimizer.type)
     check_memory(scene, measurements, stages, chosen)
     given_seed, seed = seed, settings.run.seed if seed is None else seed
     console = Console(quiet=quiet)

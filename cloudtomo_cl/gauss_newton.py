@@ -14,8 +14,9 @@ from cloudtomo_cl.seen_pixels import SeenPixels
 from cloudtomo_cl.stages import Progress, Stage
 from cloudtomo_cl.transport import RadianceOperator, pooled
 
-# Paths of an iteration that derivatives are made of.
-_PATHS_PER_ITERATION = 600_000
+# Paths of an iteration that derivatives are made of, for each voxel of the mask, and the least of all.
+_PATHS_PER_VOXEL = 45
+_LEAST_PATHS = 50_000
 # Share of a predicted change of a pixel that is taken for the prediction's error.
 _TANGENT_ERROR = 0.1
 # The prior's weight changes by this factor at most from an iteration to the next.
@@ -25,6 +26,11 @@ _SMOOTHNESS_CURVATURE = 27 / 26
 # Least curvature of a voxel, of the mean one, in scaling the variables of the inner minimisation.
 _LEAST_CURVATURE = 1e-3
 _CORRECTIONS = 20
+
+
+def samples_of(pixels: int, voxels: int) -> int:
+    """Paths per pixel that the derivatives of so many voxels are made of, if the stage does not say."""
+    return max(2, 2 * round(max(_PATHS_PER_VOXEL * voxels, _LEAST_PATHS) / pixels / 2))
 
 
 class GaussNewton:
@@ -55,7 +61,7 @@ class GaussNewton:
         self._operator = operator
         self._mask = operator.mask
         self._seed = seed
-        self._samples = stage.samples or max(2, 2 * round(_PATHS_PER_ITERATION / len(seen.pixels) / 2))
+        self._samples = stage.samples or samples_of(len(seen.pixels), int(operator.mask.sum()))
         self._measured = seen.radiance
         self._weights = relative_weights(seen.radiance)
         self._measured_noise = noise_of(seen.standard_error**2, self._weights)

@@ -18,7 +18,7 @@ from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.gauss_newton import GaussNewton
 from cloudtomo_cl.grid import Grid, resample_in_mask
 from cloudtomo_cl.measurements import Measurements
-from cloudtomo_cl.memory import require_reconstruction
+from cloudtomo_cl.memory import require_jacobian, require_reconstruction
 from cloudtomo_cl.metrics import delta, epsilon
 from cloudtomo_cl.optimizer import Optimizer
 from cloudtomo_cl.prior import Prior
@@ -112,7 +112,8 @@ def reconstruct(
     ----------
     scene : what is known: grid, optics, sun, air, surface, boundary
     measurements : images and views
-    stages, prior, optimizer : by default `automatic_stages(scene.grid)`, `Prior()`, `Optimizer()`
+    stages, prior, optimizer : by default `Prior()`, `Optimizer()`, and
+        `automatic_stages` for the scene's grid and the optimizer
     mask : bool on the scene's grid, where cloud may be (see `carving.carve`); all by default
     time_limit : seconds after which the run ends with what it has; those before a resume count
     truth : extinction in km^-1 on the scene's grid, for the history's errors only
@@ -132,7 +133,7 @@ def reconstruct(
     DeviceError : the device failed or has not enough memory
     """
     device, prior, optimizer = device or choose_device(), prior or Prior(), optimizer or Optimizer()
-    stages = tuple(stages or automatic_stages(scene.grid))
+    stages = tuple(stages or automatic_stages(scene.grid, optimizer.type))
     mask = np.ones(scene.grid.shape, bool) if mask is None else np.asarray(mask, bool)
     for name, array in (("mask", mask), ("truth", truth)):
         if array is not None and array.shape != scene.grid.shape:
@@ -141,6 +142,11 @@ def reconstruct(
         raise DataError("the mask is empty: no voxel may hold cloud; are images, views and surface right?")
     _check_start(scene, stages, optimizer)
     check_memory(scene, measurements, stages, device)
+    if optimizer.type == "gauss-newton":
+        for stage in stages:
+            voxels = coarsened(mask, stage.grid)
+            seen = seen_pixels(measurements.at_share(stage.pixels), scene.grid.with_shape(stage.grid), voxels)
+            require_jacobian(len(seen.pixels), int(voxels.sum()))
     identity = identity_of(scene, measurements, stages, prior, optimizer, mask, truth, seed)
     run = _Run(scene, stages, mask, truth, seed, time_limit, callback, stop, identity, device.name)
     run.checkpoints = Checkpoints(checkpoint, checkpoint_interval)

@@ -141,5 +141,14 @@ def require_reconstruction(
     _require_on_device(device, total, largest, host, what, "choose a coarser [grid] or [[stage]], or fewer samples")
 
 
+def require_jacobian(pixels: int, voxels: int) -> None:
+    """Checks that the derivatives of so many pixels with respect to so many voxels fit, twice. DataError if not."""
+    require(
+        2 * 4.0 * pixels * voxels,
+        f"the derivatives of {pixels} pixels with respect to {voxels} voxels",
+        'choose fewer pixels, a coarser [grid] or [[stage]], or optimizer.type = "adam", which keeps none',
+    )
+
+
 def _shape(shape: Sequence[int]) -> str:
     return " x ".join(map(str, shape))

@@ -47,8 +47,8 @@ class Optimizer:
     """
 
     type: Literal["gauss-newton", "adam", "sgd"] = "gauss-newton"
-    discrepancy: Positive | None = 1.0
-    image_samples: Annotated[int, Field(ge=0)] = 6
+    discrepancy: Positive | None = 0.8
+    image_samples: Annotated[int, Field(ge=0)] = 10
     damping: NotNegative = 0.1
     inner_iterations: Count = 40
     gradient: Literal["field", "replay"] = "field"

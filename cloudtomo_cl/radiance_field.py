@@ -10,7 +10,7 @@ import numpy as np
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.layout import FIELD_UNIT
-from cloudtomo_cl.memory import require
+from cloudtomo_cl.memory import require, require_jacobian
 from cloudtomo_cl.phase import PhaseFunction
 from cloudtomo_cl.sensors import RayView, View
 from cloudtomo_cl.transport import FIXED_POINT_SCALE, RadianceOperator, Rendering
@@ -135,11 +135,7 @@ class RadianceField:
         DataError : there is not memory enough
         """
         operator, pixels = self._operator, len(self._operator.pixels)
-        require(
-            8 * pixels * self.columns,
-            f"the Jacobian of {pixels} pixels and {self.columns} voxels",
-            'choose smaller images or a smaller grid, or optimizer.type = "adam"',
-        )
+        require_jacobian(pixels, self.columns)
         nothing = self._array.zeros(operator.device.queue, operator.scene.grid.shape, np.float32)
         if self._gradients == 0:
             self._walk(rendering, np.zeros((pixels, 2)), nothing)

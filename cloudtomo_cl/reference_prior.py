@@ -34,9 +34,16 @@ def vertical_matrix(shape: tuple[int, int, int]) -> scipy.sparse.csr_matrix:
 
 
 def prior_value_and_gradient(
-    extinction: np.ndarray, mu1: float, mu2: float, c1: float = 1 / 5, c2: float = 1 / 20, threshold: float = 0.01
+    extinction: np.ndarray,
+    mu1: float,
+    mu2: float,
+    c1: float = 1 / 5,
+    c2: float = 1 / 20,
+    threshold: float = 0.01,
+    mu3: float = 0.0,
+    clear: float = 3.0,
 ) -> tuple[float, np.ndarray]:
-    """The prior on smoothness and on growth with height, and its gradient.
+    """The prior on smoothness, on growth with height and on clear air, and its gradient.
 
     Parameters
     ----------
@@ -44,10 +51,12 @@ def prior_value_and_gradient(
     mu1, mu2 : weights of smoothness (km^2) and of monotonicity
     c1, c2 : km, the scales of the derivative and of the extinction
     threshold : km^-1; voxels at or below it do not count as cloud
+    mu3, clear : weight of sum b / (b + clear), and its scale, km^-1
 
     Returns the value, and the gradient (km, shape of the grid).
 
-    Source: Eqs. 20-23; the gradient has the transpose of Dz, which Eq. 23 leaves out.
+    Source: Eqs. 20-23; the gradient has the transpose of Dz, which Eq. 23 leaves out. The last term is
+    this project's own (prior.py).
     """
     smoothness, vertical = smoothness_matrix(extinction.shape), vertical_matrix(extinction.shape)
     b = np.asarray(extinction, float).ravel()
@@ -58,4 +67,6 @@ def prior_value_and_gradient(
     gradient = mu1 * (smoothness.T @ rough) - mu2 * (
         c1 * (vertical.T @ ((1 - growth**2) * amount * cloud)) + c2 * growth * (1 - amount**2) * cloud
     )
+    value += mu3 * np.sum(b / (b + clear))
+    gradient += mu3 * clear / (b + clear) ** 2
     return float(value), gradient.reshape(extinction.shape)

@@ -30,8 +30,8 @@ class Stage:
     ----------
     grid : numbers of voxels along x, y, z
     pixels : width and height of the images, as a share of the measured ones
-    samples : paths per pixel and iteration, even; by default so many that an iteration has
-        about 60,000 paths
+    samples : paths per pixel and iteration that derivatives are made of, even; by default so many
+        that an iteration has about 60,000 paths, with Gauss-Newton 45 for each voxel that may hold cloud
     iterations : at most; the stage ends earlier when its cost has stopped falling
     window : the least number of iterations whose mean cost is compared with that of as many
         before
@@ -71,11 +71,12 @@ class Method(Protocol):
     def restore(self, state: dict[str, np.ndarray]) -> None: ...
 
 
-def automatic_stages(grid: Grid) -> tuple[Stage, ...]:
+def automatic_stages(grid: Grid, method: str = "gauss-newton") -> tuple[Stage, ...]:
     """Stages that grow by a factor of about 1.8 from 6 voxels along the longest axis.
 
     An axis with fewer voxels than the longest stays in proportion, but has 4 voxels or all of
-    its own. Images have about two pixels per voxel, up to all that were measured.
+    its own. Images have about two pixels per voxel, up to all that were measured. Gauss-Newton
+    (`method`, an `Optimizer.type`) needs few iterations, the descents many.
     """
     longest = max(grid.shape)
     count = max(0, round(np.log(longest / _COARSEST) / np.log(_GROWTH))) + 1

@@ -12,9 +12,9 @@ from scenes import TABLE
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.phase import HenyeyGreenstein
-from cloudtomo_cl.radiance_field import _AZIMUTHS, _EDGES, BINS, RadianceField, scattering_matrix
+from cloudtomo_cl.radiance_field import _AZIMUTHS, _EDGES, BINS, RadianceField, neighbours, scattering_matrix
 from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
-from cloudtomo_cl.sensors import OrthographicView
+from cloudtomo_cl.sensors import OrthographicView, RayView
 from cloudtomo_cl.transport import RadianceOperator
 
 GRID = Grid(shape=(5, 5, 5), spacing=(0.05, 0.05, 0.05), origin=(0.0, 0.0, 0.1))
@@ -122,3 +122,48 @@ def test_isotropic_light_scatters_into_isotropic_light(phase_function):
 def test_a_field_needs_a_mask(device):
     with pytest.raises(DataError, match="mask"):
         RadianceField(RadianceOperator(SCENES["overhead sun"], VIEWS, device))
+
+
+def filled(operator, values):
+    """A field whose table some paths have filled, and a rendering to go on with."""
+    field = RadianceField(operator)
+    nothing = pyopencl.array.zeros(operator.device.queue, GRID.shape, np.float32)
+    for iteration in range(4):
+        rendering = operator.render(values, 40, 3, iteration + 1, keep_paths=True)
+        field.gradient(rendering, np.zeros((len(operator.pixels), 2)), nothing)
+    return field, operator.render(values, 20, 3, 9, keep_paths=True)
+
+
+def test_the_jacobian_is_that_of_gradient_and_tangent(device, random):
+    """Of rays, whose pixels have no neighbours: the same sums, once by pixels and voxels, once by voxels, once by
+    pixels, to the rounding of 20 paths' sums in float32."""
+    values, mask = extinction(), np.ones(GRID.shape, bool)
+    origins, directions = random.uniform((0, 0, 0.5), (0.25, 0.25, 0.6), (50, 3)), random.normal(size=(50, 3))
+    rays = [RayView(origins, directions * (1, 1, 0) - (0, 0, 2))]
+    operator = RadianceOperator(SCENES["oblique, absorbing, ground"], rays, device, mask=mask)
+    field, rendering = filled(operator, values)
+    state = field.state()
+    jacobian = field.jacobian(rendering)
+    field.restore(state)
+    adjoint, change = random.normal(size=len(operator.pixels)), random.normal(size=GRID.shape).astype(np.float32)
+    halves = np.column_stack([adjoint, adjoint]) / 2
+    gradient, tangent = field.gradient(rendering, halves, pyopencl.array.to_device(device.queue, change))
+    np.testing.assert_allclose(adjoint @ jacobian, gradient.get()[mask], rtol=1e-3, atol=1e-3 * np.abs(gradient.get()).max())
+    np.testing.assert_allclose(jacobian @ change[mask], tangent, rtol=1e-3, atol=1e-3 * np.abs(tangent).max())
+
+
+def test_neighbours_are_the_pixels_that_touch():
+    """A corner of an image has 3 of them, an edge 5, a place inside 8; pixels that are not listed are none."""
+    views = [OrthographicView(width=1.0, pixels=(4, 3), zenith=0, azimuth=0)] * 2
+    pixels = np.array([(view, pixel) for view in (0, 1) for pixel in range(12)])
+    matrix = neighbours(views, pixels).toarray()
+    np.testing.assert_array_equal((matrix > 0).sum(axis=1).reshape(2, 3, 4)[1], [[4, 6, 6, 4], [6, 9, 9, 6], [4, 6, 6, 4]])
+    np.testing.assert_allclose(matrix.sum(axis=1), 1, rtol=1e-6)
+    assert not matrix[:12, 12:].any()
+    few = neighbours(views, pixels[[0, 1, 6, 23]]).toarray()
+    np.testing.assert_array_equal(few > 0, [[1, 1, 0, 0], [1, 1, 1, 0], [0, 1, 1, 0], [0, 0, 0, 1]])
+
+
+def test_rays_have_no_neighbours():
+    rays = RayView(np.zeros((3, 3)), np.tile([0.0, 0.0, -1.0], (3, 1)))
+    np.testing.assert_array_equal(neighbours([rays], np.array([(0, 0), (0, 1), (0, 2)])).toarray(), np.eye(3))

@@ -1,5 +1,7 @@
 """The prior's kernels against the NumPy reference, which is itself held against finite differences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pyopencl.array as cl_array
 import pytest
@@ -9,14 +11,17 @@ from cloudtomo_cl.reference_prior import prior_value_and_gradient
 
 SHAPES = [(5, 4, 6), (3, 1, 2), (1, 1, 1), (2, 7, 1)]
 PRIORS = [Prior(smoothness=1.0), Prior(smoothness=0.0, monotonicity=1.0), Prior(smoothness=0.3, monotonicity=2.0)]
+PRIORS = [*(replace(prior, sparsity=0.0) for prior in PRIORS), Prior(smoothness=0.1, sparsity=2.0, clear=4.0)]
+NOISE = 0.7
 
 
 def both(device, random, shape, prior, weight=1.0):
     extinction = (random.uniform(0, 60, shape) * (random.random(shape) > 0.3)).astype(np.float32)
     on_device = cl_array.to_device(device.queue, extinction)
-    value, gradient = PriorOperator(prior, shape, device).value_and_gradient(on_device, weight)
+    value, gradient = PriorOperator(prior, shape, device).value_and_gradient(on_device, weight, NOISE)
     expected = prior_value_and_gradient(
-        extinction, prior.smoothness, prior.monotonicity, prior.c1, prior.c2, prior.threshold
+        extinction, prior.smoothness, prior.monotonicity, prior.c1, prior.c2, prior.threshold,
+        prior.sparsity * NOISE, prior.clear,
     )
     return value, gradient.get(), expected
 

@@ -7,8 +7,8 @@ import cloudtomo_cl as ct
 from cloudtomo_cl.errors import DataError, TransportError
 
 STAGES = (
-    ct.Stage(grid=(4, 4, 4), pixels=0.5, samples=64, iterations=20, window=10),
-    ct.Stage(grid=(8, 8, 8), samples=64, iterations=20, window=10),
+    ct.Stage(grid=(4, 4, 4), pixels=0.5, samples=32, iterations=4),
+    ct.Stage(grid=(8, 8, 8), samples=32, iterations=4),
 )
 
 
