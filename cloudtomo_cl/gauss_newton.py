@@ -52,6 +52,7 @@ class GaussNewton:
         operator: RadianceOperator,
         seen: SeenPixels,
         extinction: np.ndarray,
+        mask: np.ndarray,
         seed: int,
     ) -> None:
         import pyopencl.array as cl_array
@@ -59,9 +60,9 @@ class GaussNewton:
         self._array = cl_array
         self._optimizer = optimizer
         self._operator = operator
-        self._mask = operator.mask
+        self._mask = mask
         self._seed = seed
-        self._samples = stage.samples or samples_of(len(seen.pixels), int(operator.mask.sum()))
+        self._samples = stage.samples or samples_of(len(seen.pixels), int(mask.sum()))
         self._measured = seen.radiance
         self._weights = relative_weights(seen.radiance)
         self._measured_noise = noise_of(seen.standard_error**2, self._weights)

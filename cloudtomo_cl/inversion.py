@@ -30,7 +30,11 @@ from cloudtomo_cl.transport import RadianceOperator
 
 _LOGGER = logging.getLogger(__name__)
 
-_METHODS = {"gauss-newton": GaussNewton, "adam": StochasticDescent, "sgd": StochasticDescent}
+_METHODS: dict[str, type[GaussNewton] | type[StochasticDescent]] = {
+    "gauss-newton": GaussNewton,
+    "adam": StochasticDescent,
+    "sgd": StochasticDescent,
+}
 # Beyond any cloud: the optical depth across a voxel at which a descent has diverged.
 _LARGEST_VOXEL_DEPTH = 1000.0
 
@@ -262,7 +266,7 @@ class _Run:
         seen = seen_pixels(measurements.at_share(stage.pixels), scene.grid, mask)
         operator = RadianceOperator(scene, seen.views, device, seen.pixels, mask=mask)
         start = resample_in_mask(extinction, mask)
-        method: Method = _METHODS[optimizer.type](optimizer, prior, stage, operator, seen, start, self.seed)
+        method: Method = _METHODS[optimizer.type](optimizer, prior, stage, operator, seen, start, mask, self.seed)
         costs: list[float] = []
         errors: list[float] = []
         iteration = 0

@@ -28,6 +28,7 @@ class StochasticDescent:
     operator : of the stage's grid and pixels, with a mask
     seen : the pixels, as measured
     extinction : where to start, km^-1, shape of the grid
+    mask : bool, where cloud may be, as the operator's
     seed : of the paths
     """
 
@@ -39,6 +40,7 @@ class StochasticDescent:
         operator: RadianceOperator,
         seen: SeenPixels,
         extinction: np.ndarray,
+        mask: np.ndarray,
         seed: int,
     ) -> None:
         self._operator = operator
@@ -49,7 +51,7 @@ class StochasticDescent:
         self._residual = LaggedResidual(seen.radiance, weights, optimizer.image_memory)
         self._noise = 2 * noise_of(seen.standard_error**2, weights) / len(weights)
         self._prior = PriorOperator(prior, operator.scene.grid.shape, operator.device)
-        self._descent = Descent(optimizer, extinction, operator.mask, operator.device)
+        self._descent = Descent(optimizer, extinction, mask, operator.device)
         self._field = RadianceField(operator) if optimizer.gradient == "field" else None
 
     @property

@@ -310,7 +310,7 @@ def test_the_cloud_itself_is_no_setting_of_a_reconstruction(folder):
     [
         ("", "measurements is missing"),
         (RUN + "[optimizer]\ntyp = 'adam'\n", "optimizer.typ is no known key: did you mean type?"),
-        (RUN + "[optimizer]\ntype = 'adams'\n", "optimizer.type must be 'adam' or 'sgd', is \"adams\""),
+        (RUN + "[optimizer]\ntype = 'adams'\n", "optimizer.type must be 'gauss-newton', 'adam' or 'sgd', is \"adams\""),
         (RUN + "[run]\ntime_limit = 0\n", "run.time_limit must be greater than 0, is 0"),
         (RUN + "[run]\nseed = -1\n", "run.seed must be greater than or equal to 0, is -1"),
         (RUN + "[[stage]]\nsamples = 16\n", "stage[0].grid is missing"),
