@@ -28,9 +28,10 @@ __kernel void field_paths(__constant Scene *scene, const __global View *views,
                           __global float *path_tangent,        /* each path's derivative along change, sr^-1 */
                           volatile __global Accumulator *field /* [column][bin][2]: km, sr^-1 km */)
 {
-    const size_t path = get_global_id(0);
-    if (path >= path_count)
+    const size_t item = get_global_id(0);
+    if (item >= path_count)
         return;
+    const uint path = path_of_item((uint)item, pixel_count, path_count);
     const uint sample = first_sample + (uint)(path / pixel_count);
     const uint pixel_in_list = path % pixel_count;
     const float2 halves = adjoint[pixel_in_list];

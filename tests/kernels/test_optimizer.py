@@ -43,7 +43,7 @@ def test_sgd_moves_against_the_gradient(device, start, random):
 
 def test_adam_is_that_of_kingma_and_ba(device, start, random):
     gradients = random.normal(size=(5, *SHAPE))
-    optimizer = Optimizer(step=0.1, variable="extinction", halving=3.0)
+    optimizer = Optimizer(type="adam", step=0.1, variable="extinction", halving=3.0)
     result = descend(device, optimizer, start, gradients).extinction.get()
     expected = adam(start.astype(float), [lambda _, g=g: g for g in gradients], 0.1, 0.9, 0.999, 3.0)
     np.testing.assert_allclose(result, expected, rtol=1e-5)
@@ -51,7 +51,7 @@ def test_adam_is_that_of_kingma_and_ba(device, start, random):
 
 def test_square_root_follows_the_chain_rule(device, start, random):
     gradients = random.normal(size=(5, *SHAPE))
-    optimizer = Optimizer(step=0.1, variable="square-root", halving=3.0)
+    optimizer = Optimizer(type="adam", step=0.1, variable="square-root", halving=3.0)
     result = descend(device, optimizer, start, gradients).extinction.get()
     roots = adam(np.sqrt(start, dtype=float), [lambda u, g=g: 2 * u * g for g in gradients], 0.1, 0.9, 0.999, 3.0)
     np.testing.assert_allclose(result, roots**2, rtol=1e-4)
@@ -66,7 +66,7 @@ def test_extinction_stays_at_the_floor(device, start, variable):
 
 def test_voxels_outside_of_the_mask_stay_empty(device, start, random):
     mask = random.random(SHAPE) > 0.5
-    result = descend(device, Optimizer(), start, -np.ones((3, *SHAPE)), mask).extinction.get()
+    result = descend(device, Optimizer(type="adam"), start, -np.ones((3, *SHAPE)), mask).extinction.get()
     assert (result[~mask] == 0).all() and (result[mask] > 0).all()
 
 
