@@ -19,8 +19,10 @@ _PATHS_PER_VOXEL = 45
 _LEAST_PATHS = 50_000
 # Share of a predicted change of a pixel that is taken for the prediction's error.
 _TANGENT_ERROR = 0.1
-# The prior's weight changes by this factor at most from an iteration to the next.
+# The prior's weight changes by this factor at most from an iteration to the next, and falls to this
+# share of the stage's at least: coarse voxels never fit the images to their noise.
 _WEIGHT_STEP = 2.0
+_LEAST_WEIGHT = 1 / 16
 # Diagonal of A^T A (prior.py) away from the edges: 1 + 26 / 26^2.
 _SMOOTHNESS_CURVATURE = 27 / 26
 # Least curvature of a voxel, of the mean one, in scaling the variables of the inner minimisation.
@@ -75,7 +77,7 @@ class GaussNewton:
         self._image = np.zeros(len(seen.pixels))
         self._variance = np.zeros(len(seen.pixels))
         self._lag = 0.0  # noise_of the errors of the last step's prediction
-        self._prior_weight = stage.prior_weight
+        self._prior_weight = self._stage_weight = stage.prior_weight
         self._iterations = 0
 
     @property
@@ -175,7 +177,8 @@ class GaussNewton:
             return
         misfit = noise_of((self._image - self._measured) ** 2, self._weights)
         excess = misfit / (self._optimizer.discrepancy * self._noise)
-        self._prior_weight *= float(np.clip(excess**-1.5, 1 / _WEIGHT_STEP, _WEIGHT_STEP))
+        wanted = self._prior_weight * float(np.clip(excess**-1.5, 1 / _WEIGHT_STEP, _WEIGHT_STEP))
+        self._prior_weight = max(wanted, _LEAST_WEIGHT * self._stage_weight)
 
     def state(self) -> dict[str, np.ndarray]:
         """All that an iteration changes, as arrays on the host."""

@@ -86,8 +86,11 @@ def automatic_stages(grid: Grid, method: str = "gauss-newton") -> tuple[Stage, .
         nx, ny, nz = (min(n, max(4, round(n * share))) for n in grid.shape)
         last = share == shares[-1]
         pixels = min(1.0, 2 * share)
-        # The last stage has the details to find, which show little in the cost: it is not given up early.
-        iterations, window = (600, 200) if last else (100, 20)
+        if method == "gauss-newton":
+            iterations, window = (20, 20) if last else (4, 20)
+        else:
+            # The last stage has the details to find, which show little in the cost: it is not given up early.
+            iterations, window = (600, 200) if last else (100, 20)
         stages.append(Stage(grid=(nx, ny, nz), pixels=pixels, iterations=iterations, window=window))
     return tuple(stages)
 

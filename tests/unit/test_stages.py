@@ -18,6 +18,12 @@ def test_stages_grow():
     assert len(grids) > 3 and all(a < b and c <= d for (a, _, c), (b, _, d) in zip(grids, grids[1:]))
 
 
+def test_descents_have_more_iterations_than_gauss_newton():
+    grid = Grid(shape=(38, 38, 38), spacing=(1, 1, 1))
+    newton, adam = automatic_stages(grid), automatic_stages(grid, "adam")
+    assert all(10 * few.iterations < many.iterations for few, many in zip(newton, adam))
+
+
 def test_a_falling_cost_has_not_settled():
     assert not has_settled(np.linspace(10, 5, 40), np.full(40, 0.1), window=20)
 
