@@ -177,7 +177,9 @@ class GaussNewton:
             return
         misfit = noise_of((self._image - self._measured) ** 2, self._weights)
         excess = misfit / (self._optimizer.discrepancy * self._noise)
-        wanted = self._prior_weight * float(np.clip(excess**-1.5, 1 / _WEIGHT_STEP, _WEIGHT_STEP))
+        # It only falls: a misfit that goes on falling below the noise is the fit's own part of it, and a weight
+        # that followed it up would undo what later images add.
+        wanted = self._prior_weight * float(np.clip(excess**-1.5, 1 / _WEIGHT_STEP, 1.0))
         self._prior_weight = max(wanted, _LEAST_WEIGHT * self._stage_weight)
 
     def state(self) -> dict[str, np.ndarray]:
