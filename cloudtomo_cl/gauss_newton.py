@@ -6,12 +6,13 @@ import numpy as np
 from scipy.optimize import minimize
 
 from cloudtomo_cl.checkpoint import joined, part
+from cloudtomo_cl.method import Progress, check_gradient
 from cloudtomo_cl.objective import cost_of_independent, noise_of, relative_weights
 from cloudtomo_cl.optimizer import Optimizer
 from cloudtomo_cl.prior import Prior, PriorOperator
 from cloudtomo_cl.radiance_field import RadianceField
 from cloudtomo_cl.seen_pixels import SeenPixels
-from cloudtomo_cl.stages import Progress, Stage
+from cloudtomo_cl.stages import Stage
 from cloudtomo_cl.transport import RadianceOperator, pooled
 
 # Paths of an iteration that derivatives are made of, for each voxel of the mask, and the least of all.
@@ -19,7 +20,7 @@ _PATHS_PER_VOXEL = 45
 _LEAST_PATHS = 50_000
 # Share of a predicted change of a pixel that is taken for the prediction's error.
 _TANGENT_ERROR = 0.1
-# The prior's weight changes by this factor at most from an iteration to the next, and falls to this
+# The prior's weight falls by this factor at most from an iteration to the next, and falls to this
 # share of the stage's at least: coarse voxels never fit the images to their noise.
 _WEIGHT_STEP = 2.0
 _LEAST_WEIGHT = 1 / 16
@@ -27,6 +28,7 @@ _LEAST_WEIGHT = 1 / 16
 _SMOOTHNESS_CURVATURE = 27 / 26
 # Least curvature of a voxel, of the mean one, in scaling the variables of the inner minimisation.
 _LEAST_CURVATURE = 1e-3
+# Of L-BFGS-B's memory.
 _CORRECTIONS = 20
 
 
@@ -68,6 +70,7 @@ class GaussNewton:
         self._measured = seen.radiance
         self._weights = relative_weights(seen.radiance)
         self._measured_noise = noise_of(seen.standard_error**2, self._weights)
+        self._unit = 2 * self._measured_noise / len(seen.pixels)  # n of the prior
         self._smoothness = prior.smoothness
         self._curvature_of_sparsity = prior.sparsity / prior.clear**2
         self._prior = PriorOperator(prior, operator.scene.grid.shape, operator.device)
@@ -95,7 +98,12 @@ class GaussNewton:
         return extinction
 
     def iterate(self, key: int, where: str) -> Progress:
-        """One step; `key` numbers its paths, `where` is for errors."""
+        """One step; `key` numbers its paths, `where` is for errors.
+
+        Raises
+        ------
+        TransportError : a derivative is not finite
+        """
         operator, samples = self._operator, self._samples
         extinction = self.extinction
         walked = operator.render(extinction, samples, self._seed, key, keep_paths=True)
@@ -107,7 +115,7 @@ class GaussNewton:
         self._remember(rendering.mean, rendering.standard_error**2)
         jacobian = self._field.jacobian(walked)
         prior_value, _ = self._prior_at(self._extinction)
-        self._step(jacobian)
+        self._step(jacobian, where)
         # Over the later half of the iterations: steps differ by the noise of their derivatives.
         self._mean += (self._extinction - self._mean) / (1 + self._iterations // 2)
         return Progress(cost, error, prior_value, rendering.samples * len(operator.pixels))
@@ -135,11 +143,10 @@ class GaussNewton:
 
     def _prior_at(self, values: np.ndarray) -> tuple[float, np.ndarray]:
         extinction = self._array.to_device(self._operator.device.queue, self._on_grid(values))
-        unit = 2 * self._measured_noise / len(self._measured)
-        value, gradient = self._prior.value_and_gradient(extinction, self._prior_weight, unit)
+        value, gradient = self._prior.value_and_gradient(extinction, self._prior_weight, self._unit)
         return value, gradient.get()[self._mask].astype(float)
 
-    def _step(self, jacobian: np.ndarray) -> None:
+    def _step(self, jacobian: np.ndarray, where: str) -> None:
         """Minimises the model: residuals and their derivatives, the prior, and a damping of the step."""
         start, residual = self._extinction, self._image - self._measured
         roots = np.sqrt(self._weights)
@@ -147,10 +154,10 @@ class GaussNewton:
         block = max(1, (1 << 24) // len(start))
         for first in range(0, len(jacobian), block):
             curvature += self._weights[first : first + block].astype(np.float32) @ jacobian[first : first + block] ** 2
+        check_gradient(self._on_grid(curvature), where)
         damping = self._optimizer.damping * max(0.5 ** (self._iterations - 1), 0.1)
-        unit = 2 * self._measured_noise / len(self._measured)
         stiff = curvature * (1 + damping) + self._prior_weight * self._smoothness * _SMOOTHNESS_CURVATURE
-        stiff += unit * self._curvature_of_sparsity + _LEAST_CURVATURE * curvature.mean()
+        stiff += self._unit * self._curvature_of_sparsity + _LEAST_CURVATURE * curvature.mean()
         scale = 1 / np.sqrt(stiff)
 
         def model(scaled: np.ndarray) -> tuple[float, np.ndarray]:

@@ -19,12 +19,13 @@ from cloudtomo_cl.gauss_newton import GaussNewton
 from cloudtomo_cl.grid import Grid, resample_in_mask
 from cloudtomo_cl.measurements import Measurements
 from cloudtomo_cl.memory import require_jacobian, require_reconstruction
+from cloudtomo_cl.method import Method, Progress
 from cloudtomo_cl.metrics import delta, epsilon
 from cloudtomo_cl.optimizer import Optimizer
 from cloudtomo_cl.prior import Prior
 from cloudtomo_cl.scene import Scene
 from cloudtomo_cl.seen_pixels import seen_pixels
-from cloudtomo_cl.stages import Method, Progress, Stage, automatic_stages, has_settled
+from cloudtomo_cl.stages import Stage, automatic_stages, has_settled
 from cloudtomo_cl.stochastic_descent import PATHS_PER_ITERATION, StochasticDescent
 from cloudtomo_cl.transport import RadianceOperator
 

@@ -156,7 +156,7 @@ def unit_factor(path: Any, variable: xr.DataArray, units: Mapping[str, float], d
     """The factor to our unit; a variable without units is taken to be in it already."""
     name = str(variable.attrs.get("units", default)).strip()
     if name not in units:
-        raise DataError(f"{path}: {variable.name} has units '{name}', allowed are {', '.join(units)}")
+        raise DataError(f"{path}: {variable.name} has units '{name}', allowed are {', '.join(filter(None, units))}")
     return units[name]
 
 

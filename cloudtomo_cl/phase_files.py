@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from cloudtomo_cl.droplets import DropletTable
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files import written_whole
-from cloudtomo_cl.netcdf import file_attributes, load_dataset
+from cloudtomo_cl.netcdf import file_attributes, load_dataset, number_variable, unit_factor
 from cloudtomo_cl.phase import TabulatedPhaseFunction
 
 if TYPE_CHECKING:
@@ -198,18 +198,5 @@ def _numbers(
     default: str = "1",
 ) -> np.ndarray:
     """A variable in our unit (that without units is taken to be the default), in double precision."""
-    if name not in dataset.variables:
-        found = ", ".join(sorted(str(other) for other in dataset.variables)) or "none"
-        raise DataError(f"{path}: no variable {name}({', '.join(dims)}); the file has {found}")
-    variable = dataset[name]
-    if set(variable.dims) != set(dims):
-        raise DataError(
-            f"{path}: {name} has dimensions ({', '.join(map(str, variable.dims))}), "
-            f"it must have ({', '.join(dims)}) in any order"
-        )
-    if variable.dtype.kind not in "fiu":
-        raise DataError(f"{path}: {name} has type {variable.dtype}, it must hold numbers")
-    unit = str(variable.attrs.get("units", default)).strip()
-    if unit not in units:
-        raise DataError(f"{path}: {name} has units '{unit}', allowed are {', '.join(filter(None, units))}")
-    return variable.transpose(*dims).values.astype(np.float64) * units[unit]
+    variable = number_variable(path, dataset, name, dims)
+    return variable.values.astype(np.float64) * unit_factor(path, variable, units, default)

@@ -40,6 +40,7 @@ _OWN_CROSSINGS, _NEIGHBOUR_CROSSINGS = 5.0, 0.05
 _BYTES_PER_CELL = 60
 # Entries of the Jacobian that a device makes at a time.
 _BLOCK = 1 << 25
+# Its columns that are pooled at a time.
 _COLUMNS = 2048
 # After so many gradients the table is made anew, and what it held before fades.
 _FADING = 0.7

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass as dataclass_
-from typing import Annotated, Protocol
+from typing import Annotated
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -44,31 +43,6 @@ class Stage:
     iterations: Count = 100
     window: Annotated[int, Field(ge=2)] = 20
     prior_weight: NotNegative = 1.0
-
-
-@dataclass_(frozen=True)
-class Progress:
-    """What an iteration tells: the data term at its start, its standard error, the prior, and paths walked."""
-
-    cost: float
-    cost_standard_error: float
-    prior: float
-    photons: int
-
-
-class Method(Protocol):
-    """How a stage's iterations find the extinction."""
-
-    @property
-    def extinction(self) -> np.ndarray: ...
-
-    def iterate(self, key: int, where: str) -> Progress: ...
-
-    def estimate(self) -> np.ndarray: ...
-
-    def state(self) -> dict[str, np.ndarray]: ...
-
-    def restore(self, state: dict[str, np.ndarray]) -> None: ...
 
 
 def automatic_stages(grid: Grid, method: str = "gauss-newton") -> tuple[Stage, ...]:

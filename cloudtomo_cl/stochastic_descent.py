@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from cloudtomo_cl.checkpoint import joined, part
-from cloudtomo_cl.errors import TransportError
+from cloudtomo_cl.method import Progress, check_gradient
 from cloudtomo_cl.objective import LaggedResidual, noise_of, relative_weights
 from cloudtomo_cl.optimizer import Descent, Optimizer
 from cloudtomo_cl.prior import Prior, PriorOperator
 from cloudtomo_cl.radiance_field import RadianceField
 from cloudtomo_cl.seen_pixels import SeenPixels
-from cloudtomo_cl.stages import Progress, Stage
+from cloudtomo_cl.stages import Stage
 from cloudtomo_cl.transport import RadianceOperator
 
 PATHS_PER_ITERATION = 60_000
@@ -81,7 +79,7 @@ class StochasticDescent:
             self._residual.move(tangent)
         prior_value, prior_gradient = self._prior.value_and_gradient(extinction, self._prior_weight, self._noise)
         gradient = gradient + prior_gradient
-        _check(gradient, where)
+        check_gradient(gradient.get(), where)
         self._descent.step(gradient)
         return Progress(cost, error, prior_value, self._samples * len(self._operator.pixels))
 
@@ -98,14 +96,3 @@ class StochasticDescent:
         self._residual.restore(part(state, "residual"))
         if self._field is not None:
             self._field.restore(part(state, "field"))
-
-
-def _check(gradient: Any, where: str) -> None:
-    """The step's projection would turn a gradient that is no number into the floor, unseen."""
-    wrong = ~np.isfinite(gradient.get())
-    if wrong.any():
-        voxel = tuple(int(i) for i in np.argwhere(wrong)[0])
-        raise TransportError(
-            f"the gradient is not finite at voxel {voxel} of the grid {wrong.shape}, in {where}: "
-            "the device or its driver is at fault, or the optics are extreme; try another device"
-        )

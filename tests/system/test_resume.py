@@ -251,3 +251,17 @@ def test_a_gradient_that_is_no_number_names_its_voxel(problem, device, monkeypat
     monkeypatch.setattr(RadianceField, "gradient", spoilt)
     with pytest.raises(TransportError, match=r"gradient is not finite at voxel \(1, 2, 0\).*stage 0, iteration 0"):
         recover(problem, device, optimizer=ct.Optimizer(type="adam"))
+
+
+def test_a_derivative_that_is_no_number_is_not_passed_over(problem, device, monkeypatch):
+    """A minimiser that meets NaN may return where it began."""
+    original = RadianceField.jacobian
+
+    def spoilt(self, rendering):
+        values = original(self, rendering)
+        values[0, 0] = np.nan
+        return values
+
+    monkeypatch.setattr(RadianceField, "jacobian", spoilt)
+    with pytest.raises(TransportError, match=r"gradient is not finite at voxel \(0, 0, 0\).*stage 0, iteration 0"):
+        recover(problem, device)
