@@ -1,0 +1,63 @@
+"""What scripts/source_figures.py computes for the figures of the source."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cloudtomo_cl.config import tomllib
+from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.metrics import epsilon
+from cloudtomo_cl.sensors import OrthographicView
+
+SCRIPTS = Path(__file__).parents[2] / "scripts"
+
+
+@pytest.fixture(scope="module")
+def scripts():
+    sys.path.insert(0, str(SCRIPTS))
+    import source_figures
+    import source_scenes
+
+    sys.path.remove(str(SCRIPTS))
+    return source_figures, source_scenes
+
+
+def test_noise_of_two_images_is_no_difference_between_them(scripts, random):
+    """The images' noise is 30 %, their difference 10 %: five standard errors of the estimate are 0.02."""
+    view = OrthographicView(zenith=0, width=1.0, pixels=(200, 200))
+    errors = (np.full((200, 200), 0.3),)
+    first, second = (
+        Measurements((view,), (level + 0.3 * random.normal(size=(200, 200)),), errors) for level in (1.0, 1.1)
+    )
+    assert scripts[0].relative_difference(first, second)[0] == pytest.approx(0.1, abs=0.02)
+
+
+def test_errors_by_depth_make_up_that_of_the_cloud(scripts, random):
+    grid = Grid(shape=(9, 9, 9), spacing=(0.1, 0.1, 0.2))
+    truth = np.zeros(grid.shape)
+    truth[2:7, 2:7, 1:8] = random.random((5, 5, 7)) + 1
+    recovered = np.where(truth > 0, truth + random.normal(size=grid.shape), 0)
+    middles, errors, shares = scripts[0].error_by_depth(grid, recovered, truth)
+    assert errors @ shares == pytest.approx(epsilon(recovered, truth))
+    np.testing.assert_allclose(middles, [0.05, 0.15, 0.25])
+
+
+def test_the_unseen_view_is_50_degrees_off_nadir_beyond_the_domain(scripts):
+    _, module = scripts
+    for scene in module.SCENES.values():
+        view = tomllib.loads(module.unseen_view(scene, 20))["view"][0]
+        line = np.subtract(view["position"], view["target"])
+        assert np.degrees(np.arccos(line[2] / np.linalg.norm(line))) == pytest.approx(50.4)
+        assert view["position"][2] > scene.shape[2] * module.SPACING[2]
+
+
+def test_the_sources_stages_are_eight_and_six(scripts):
+    _, module = scripts
+    counts = {
+        name: len(tomllib.loads(module.stage_settings(scene, scene.shape))["stage"])
+        for name, scene in module.SCENES.items()
+    }
+    assert counts == {"c": 8, "f": 6}
