@@ -23,6 +23,7 @@ import os
 import random
 import select
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -429,32 +430,38 @@ def supervise(seed: int, first: int, cases: int, limit: float, folder: Path) -> 
             [sys.executable, __file__, *arguments, "--folder", str(folder)], stdout=subprocess.PIPE, text=True,
             stderr=subprocess.DEVNULL,
         )  # fmt: skip
-        assert process.stdout is not None
-        begun = False
-        while True:
-            # The first case waits for the imports and the device.
-            ready, _, _ = select.select([process.stdout], [], [], limit if begun else 300)
-            line = process.stdout.readline() if ready else None
-            if not line:
-                process.kill()
-                status = process.wait()
-                wrong = "hangs" if line is None else f"the process died with {status}"
-                if number < last:
-                    results.append({"number": number, "kind": "?", "status": None, "seconds": limit, "wrong": wrong})
-                    number += 1
-                break
-            answer = json.loads(line)
-            begun = True
-            if "begun" not in answer:
-                results.append(answer)
-                number += 1
-                if answer["wrong"]:
-                    print(json.dumps(answer, indent=1), flush=True)
-                if len(results) % 250 == 0:
-                    print(f"{len(results)} cases", flush=True)
-                if number == last:
-                    process.wait()
+        try:
+            assert process.stdout is not None
+            begun = False
+            while True:
+                # The first case waits for the imports and the device.
+                ready, _, _ = select.select([process.stdout], [], [], limit if begun else 300)
+                line = process.stdout.readline() if ready else None
+                if not line:
+                    process.kill()
+                    status = process.wait()
+                    wrong = "hangs" if line is None else f"the process died with {status}"
+                    if number < last:
+                        results.append(
+                            {"number": number, "kind": "?", "status": None, "seconds": limit, "wrong": wrong}
+                        )
+                        number += 1
                     break
+                answer = json.loads(line)
+                begun = True
+                if "begun" not in answer:
+                    results.append(answer)
+                    number += 1
+                    if answer["wrong"]:
+                        print(json.dumps(answer, indent=1), flush=True)
+                    if len(results) % 250 == 0:
+                        print(f"{len(results)} cases", flush=True)
+                    if number == last:
+                        process.wait()
+                        break
+        finally:
+            process.kill()
+            process.wait()
     return results
 
 
@@ -470,6 +477,8 @@ def main() -> int:
     if options.worker:
         worker(options.seed, options.first, options.first + options.cases, options.folder)
         return 0
+    # Told to end, it ends its worker and takes its folder away.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         results = supervise(options.seed, options.first, options.cases, options.seconds, folder)
