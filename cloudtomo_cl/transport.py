@@ -24,6 +24,11 @@ Estimator = Literal["side-flights", "plain"]
 # far below the deposits that matter (about 1e-6), and a voxel's sum of them over all paths of a
 # gradient may reach 2^31 before it overflows.
 FIXED_POINT_SCALE = 2.0**32
+# What a work item does in a launch is bounded: watchdogs end launches that are too long, and some
+# drivers loops (Mesa's llvmpipe all loops of a work item after 65,535 rounds, and says nothing). Paths
+# that a pixel sums up, and that it walks, of some hundred rounds each.
+_LONGEST_SUM = 1 << 15
+_PATHS_OF_ITEM = 32
 
 
 @dataclass(frozen=True)
@@ -61,6 +66,7 @@ class KeptLaunch:
     """Paths of a rendering that are walked again together."""
 
     paths: int
+    _samples: int
     _pace: Pace
     _arguments: tuple[Any, ...]
 
@@ -69,9 +75,10 @@ class KeptLaunch:
         self._pace.launch(kernel, self.paths, *self._arguments, *arguments)
 
     def run_pixels(self, kernel: Any, pixels: int, *arguments: Any) -> None:
-        """Runs a kernel of one work item a pixel, which walks all paths of its pixel."""
-        self._pace.device.launch(kernel, pixels, *self._arguments, *arguments)
-        self._pace.device.queue.finish()
+        """Runs a kernel of one work item a pixel, which walks paths of its pixel: `begin`, `end`, then its arguments."""
+        for part in parts(self._samples, _PATHS_OF_ITEM):
+            self._pace.device.launch(kernel, pixels, *self._arguments, *part, *arguments)
+            self._pace.device.queue.finish()
 
 
 class RadianceOperator:
@@ -202,9 +209,8 @@ class RadianceOperator:
                 paths.data,
                 account.data,
             )
-            self.device.launch(
-                self._sum_paths, count, paths.data, np.uint32(count), np.uint32(first), np.uint32(number), sums
-            )
+            for part in parts(number, _LONGEST_SUM):
+                self.device.launch(self._sum_paths, count, paths.data, np.uint32(count), np.uint32(first), *part, sums)
             if keep_paths:
                 launches.append((first, paths))
             done += number
@@ -306,7 +312,7 @@ class RadianceOperator:
             raise DataError("this rendering kept no paths: render with keep_paths=True")
         for first, paths in rendering._launches:
             given = self._arguments(rendering._medium, first, paths.size, rendering.seed, rendering.iteration)
-            yield KeptLaunch(paths.size, self._pace, (*given, paths.data))
+            yield KeptLaunch(paths.size, paths.size // len(self.pixels), self._pace, (*given, paths.data))
 
     def images(self, values: np.ndarray) -> list[np.ndarray]:
         """Values per pixel as one image (rows, columns) per view; NaN where no pixel is."""
@@ -327,6 +333,11 @@ def pooled(first: Rendering, second: Rendering) -> Rendering:
         standard_error=np.hypot(share * first.standard_error, (1 - share) * second.standard_error),
         samples=first.samples + second.samples,
     )
+
+
+def parts(count: int, most: int) -> list[tuple[np.uint32, np.uint32]]:
+    """The numbers from 0 to below `count` in parts (begin, end) of at most `most`."""
+    return [(np.uint32(begin), np.uint32(min(begin + most, count))) for begin in range(0, count, most)]
 
 
 def all_pixels(views: Sequence[View]) -> np.ndarray:

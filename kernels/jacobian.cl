@@ -2,9 +2,9 @@
 #define CLOUDTOMO_JACOBIAN
 #include "field.cl"
 
-/* Rows of the Jacobian, for pixels from first_pixel on: sums over a launch's paths, apart for the
- * paths' first flights and for all that follows. One work item walks all paths of its pixel, so that
- * its row needs no atomics. The paths go into the field, too. */
+/* Rows of the Jacobian, for pixels from first_pixel on: sums over samples `begin` to `end` of a
+ * launch, apart for the paths' first flights and for all that follows. One work item walks all these
+ * paths of its pixel, so that its row needs no atomics. The paths go into the field, too. */
 __kernel void jacobian_rows(__constant Scene *scene, const __global View *views,
                             const __global float *rays, const __global uint2 *pixels,
                             const __global float *extinction, const __global float *table_row,
@@ -12,6 +12,7 @@ __kernel void jacobian_rows(__constant Scene *scene, const __global View *views,
                             const uint pixel_count, const uint first_sample, const uint path_count,
                             const uint seed, const uint iteration,
                             const __global float *path_radiance, /* from render_paths, sr^-1 */
+                            const uint begin, const uint end,
                             const __global int *column,          /* of every voxel in the field, or -1 */
                             const __global float *scattered,     /* [column][bin]: source - radiance, sr^-1 */
                             const __global float *sunlight,      /* [column]: direct, share of the irradiance */
@@ -26,8 +27,9 @@ __kernel void jacobian_rows(__constant Scene *scene, const __global View *views,
     const uint pixel_in_list = first_pixel + (uint)row;
     const uint2 pixel = pixels[pixel_in_list];
     const Medium medium = make_medium(scene, extinction, table_row, clear, profiles);
-    for (uint path = pixel_in_list; path < path_count; path += pixel_count) {
-        const SampleKey key = {seed, iteration, pixel.y, pixel.x, first_sample + path / pixel_count};
+    for (uint n = begin; n < end; ++n) {
+        const uint path = n * pixel_count + pixel_in_list;
+        const SampleKey key = {seed, iteration, pixel.y, pixel.x, first_sample + n};
         Record record;
         record_begin(&record);
         record.total = path_radiance[path];

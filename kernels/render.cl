@@ -26,17 +26,18 @@ __kernel void render_paths(__constant Scene *scene, const __global View *views,
     path_radiance[path] = record.radiance;
 }
 
-/* Adds a launch's paths to the pixels' sums, even and odd samples apart. Each pixel is summed
- * by one work item in the order of its samples: the same bits however launches are cut. */
+/* Adds paths of a launch, samples `begin` to `end` of it, to the pixels' sums, even and odd samples
+ * apart. Each pixel is summed by one work item in the order of its samples: the same bits however
+ * launches are cut. */
 __kernel void sum_paths(const __global float *path_radiance, const uint pixel_count,
-                        const uint first_sample, const uint sample_count,
+                        const uint first_sample, const uint begin, const uint end,
                         __global PixelSums *sums)
 {
     const size_t pixel = get_global_id(0);
     if (pixel >= pixel_count)
         return;
     PixelSums s = sums[pixel];
-    for (uint n = 0; n < sample_count; ++n) {
+    for (uint n = begin; n < end; ++n) {
         const float radiance = path_radiance[(size_t)n * pixel_count + pixel];
         const uint half_index = (first_sample + n) & 1u;
         add_compensated(&s.half_sum[half_index], &s.half_low[half_index], radiance);

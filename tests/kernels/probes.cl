@@ -130,11 +130,11 @@ __kernel void probe_accumulate(const uint count, const uint sums, const __global
     accumulate(sum + i % sums, value[i]);
 }
 
-/* `terms` times the same value, one after the other. */
+/* Adds `terms` times the same value, one after the other. */
 __kernel void probe_compensated(const uint count, const uint terms, const __global float *value, __global float *result)
 {
     PROBE(count);
-    float sum = 0.0f, low = 0.0f;
+    float sum = result[2 * i], low = result[2 * i + 1];
     for (uint n = 0; n < terms; ++n)
         add_compensated(&sum, &low, value[i]);
     vstore2((float2)(sum, low), i, result);

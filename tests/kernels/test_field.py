@@ -152,6 +152,17 @@ def test_the_jacobian_is_that_of_gradient_and_tangent(device, random):
         np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max())
 
 
+def test_the_jacobian_does_not_depend_on_how_launches_are_cut(device, monkeypatch):
+    operator = RadianceOperator(SCENES["air, periodic"], VIEWS, device, mask=np.ones(GRID.shape, bool))
+    rendering = operator.render(extinction(), 20, 3, 1, keep_paths=True)
+    found = []
+    for most in (32, 7):
+        monkeypatch.setattr("cloudtomo_cl.transport._PATHS_OF_ITEM", most)
+        found.append(RadianceField(operator).jacobian(rendering))
+    assert found[0].any()
+    np.testing.assert_array_equal(*found)
+
+
 def test_neighbours_are_the_pixels_that_touch():
     """A corner of an image has 3 of them, an edge 5, a place inside 8; pixels that are not listed are none."""
     views = [OrthographicView(width=1.0, pixels=(4, 3), zenith=0, azimuth=0)] * 2

@@ -68,6 +68,22 @@ def test_paths_do_not_depend_on_how_launches_are_cut(device):
     np.testing.assert_array_equal(first.halves, second.halves)
 
 
+def test_sums_do_not_depend_on_how_they_are_cut(device, monkeypatch):
+    operator = RadianceOperator(SCENES["forward peak"], [ABOVE], device)
+    first = operator.render(extinction_of(operator.scene), 40)
+    monkeypatch.setattr("cloudtomo_cl.transport._LONGEST_SUM", 7)
+    second = operator.render(extinction_of(operator.scene), 40)
+    np.testing.assert_array_equal(first.halves, second.halves)
+    np.testing.assert_array_equal(first.standard_error, second.standard_error)
+
+
+def test_all_paths_of_a_pixel_count_however_many_there_are(device):
+    """More than the rounds after which a driver may end a loop (65,535 of Mesa's llvmpipe)."""
+    operator = RadianceOperator(SCENES["forward peak"], [ABOVE], device, pixels=np.array([[0, 4]]))
+    rendering = operator.render(extinction_of(operator.scene), 150_000, keep_paths=True)
+    assert rendering.mean == pytest.approx(kernel_paths(rendering).mean(dtype=float), rel=1e-6)
+
+
 def test_a_pixel_has_the_same_paths_alone_and_among_others(device):
     scene = SCENES["forward peak"]
     extinction = extinction_of(scene)
