@@ -75,7 +75,7 @@ class KeptLaunch:
         self._pace.launch(kernel, self.paths, *self._arguments, *arguments)
 
     def run_pixels(self, kernel: Any, pixels: int, *arguments: Any) -> None:
-        """Runs a kernel of one work item a pixel, which walks paths of its pixel: `begin`, `end`, then its arguments."""
+        """Runs a kernel of one work item a pixel, which walks paths of its pixel (after `begin`, `end`)."""
         for part in parts(self._samples, _PATHS_OF_ITEM):
             self._pace.device.launch(kernel, pixels, *self._arguments, *part, *arguments)
             self._pace.device.queue.finish()
