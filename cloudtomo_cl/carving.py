@@ -50,7 +50,7 @@ def cloudy_pixels(
     of the largest among the images, so that a view of hardly any cloud is not judged by its noise.
     Gaps of a pixel or two and holes are then closed: where the brightness of a cloud's image
     passes through that of the ground, the cloud goes on. (Not in lists of rays, whose pixels
-    have no neighbours.)
+    have no neighbours.) Bad pixels, which are NaN, cannot say anything: they count as cloudy.
 
     Parameters
     ----------
@@ -73,16 +73,19 @@ def cloudy_pixels(
         raise DataError(f"contrast is {contrast} and significance {significance}: neither may be negative")
     differences = [np.abs(image - ground) for image, ground in zip(measurements.images, clear.images)]
     errors = [np.hypot(*pair) for pair in zip(measurements.standard_errors, clear.standard_errors)]
-    scales = np.array([np.percentile(difference, _SCALE_PERCENTILE) for difference in differences])
+    scales = np.array([np.nanpercentile(difference, _SCALE_PERCENTILE) for difference in differences])
     scales = np.maximum(scales, scales.max() / 4)
     cloudy = []
     for view, difference, error, scale in zip(measurements.views, differences, errors, scales):
-        noise = 3 * significance * np.percentile(error, _QUIET_PERCENTILE)
+        bad = np.isnan(difference)
+        noise = 3 * significance * np.percentile(error[~bad], _QUIET_PERCENTILE)
         tolerance = np.clip(noise, contrast * scale, _LOOSEST * contrast * scale)
         differs = difference + significance * error > tolerance
         if grid is not None:
-            differs = differs & pixels_that_meet(view, grid)
-        cloudy.append(differs if isinstance(view, RayView) else _filled(differs))
+            meets = pixels_that_meet(view, grid)
+            differs, bad = differs & meets, bad & meets
+        # Bad pixels open no way to their neighbours.
+        cloudy.append((differs if isinstance(view, RayView) else _filled(differs)) | bad)
     return tuple(cloudy)
 
 

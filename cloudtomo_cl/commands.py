@@ -116,6 +116,9 @@ def reconstruct(
     check_memory(scene, measurements, stages, chosen)
     given_seed, seed = seed, settings.run.seed if seed is None else seed
     console = Console(quiet=quiet)
+    if measurements.bad_pixels:
+        share = measurements.bad_pixels / sum(image.size for image in measurements.images)
+        console.print(f"{measurements.bad_pixels} bad pixels ({share:.2%}) are not used", highlight=False)
     before: list[IterationRecord] = []
     if resumed is None:
         if resume:

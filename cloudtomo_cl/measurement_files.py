@@ -85,7 +85,7 @@ def measurements_dataset(
     """Images with the views that they were taken from.
 
     Variables: `radiance` and `radiance_standard_error` (view, row, column), W m-2 sr-1, padded
-    with NaN to the largest image, with `image_height` and `image_width` (view); `view_type`
+    with NaN to the largest image, and NaN in bad pixels, with `image_height` and `image_width` (view); `view_type`
     and every field of the views (view) or (view, axis), NaN where a view has no such field. Views
     that are lists of rays have `ray_origin` and `ray_direction` (ray, axis), the rays of all of
     them one after the other.
@@ -154,10 +154,13 @@ def measurements_dataset(
 def read_measurements(source: Source) -> Measurements:
     """Reads what `write_measurements` wrote, or `measurements_dataset` made: the same images, the same views.
 
+    Pixels are bad whose radiance is NaN, or where a variable `valid` (view, row, column), which a file may have,
+    is 0.
+
     Raises
     ------
     DataError : no such file, not netCDF, cut short; missing variables, other dimensions or
-        units; images that are not finite; views that are not possible
+        units; images that are infinite, or bad in all pixels; views that are not possible
     """
     path, dataset = name_of(source), load_dataset(source)
     dims = ("view", "row", "column")
@@ -165,6 +168,8 @@ def read_measurements(source: Source) -> Measurements:
     error = number_variable(path, dataset, "radiance_standard_error", dims)
     for variable in (radiance, error):
         unit_factor(path, variable, {RADIANCE_UNITS: 1.0}, RADIANCE_UNITS)
+    if "valid" in dataset.variables:
+        radiance = radiance.where(number_variable(path, dataset, "valid", dims) != 0)
     heights = number_variable(path, dataset, "image_height", ("view",)).values
     widths = number_variable(path, dataset, "image_width", ("view",)).values
     for name, values, largest in (

@@ -15,6 +15,9 @@ from cloudtomo_cl.sensors import RayView, View
 if TYPE_CHECKING:
     from cloudtomo_cl.transport import RadianceOperator, Rendering
 
+# Share of a larger pixel that must not be bad: half, up to rounding.
+_LEAST_VALID = 0.5 - 1e-9
+
 
 @dataclass(frozen=True)
 class Measurements:
@@ -23,8 +26,8 @@ class Measurements:
     Attributes
     ----------
     views : one per image
-    images : radiance, W m^-2 sr^-1, each of shape (rows, columns) of its view
-    standard_errors : of the radiances, same unit and shapes; zero where unknown
+    images : radiance, W m^-2 sr^-1, each of shape (rows, columns) of its view; NaN in bad pixels, which nothing uses
+    standard_errors : of the radiances, same unit and shapes; zero where unknown; of no meaning in bad pixels
     """
 
     views: tuple[View, ...]
@@ -49,11 +52,15 @@ class Measurements:
                         f"measurements: {name} of view {index} have shape {array.shape}, "
                         f"the view has {view.pixels[1]} rows and {view.pixels[0]} columns"
                     )
-                wrong = ~np.isfinite(array)
+                bad = np.isnan(self.images[index])
+                wrong = ~np.isfinite(array) & ~bad
                 if wrong.any():
                     row, column = np.argwhere(wrong)[0]
                     where = f"view {index} are not finite at row {row}, column {column}"
-                    raise DataError(f"measurements: {name} of {where}")
+                    hint = "" if name == "standard_errors" else ": set the radiance of bad pixels to NaN"
+                    raise DataError(f"measurements: {name} of {where}{hint}")
+                if bad.all():
+                    raise DataError(f"measurements: all pixels of view {index} are bad: leave the view out")
         for index, error in enumerate(self.standard_errors):
             if (error < 0).any():
                 raise DataError(f"measurements: standard_errors of view {index} are negative: they must be at least 0")
@@ -61,13 +68,26 @@ class Measurements:
     def __repr__(self) -> str:
         sizes = sorted({view.pixels for view in self.views})
         pixels = ", ".join(f"{width} x {height}" for width, height in sizes[:3]) + (", ..." if len(sizes) > 3 else "")
-        least = min((float(image.min()) for image in self.images), default=np.nan)
-        most = max((float(image.max()) for image in self.images), default=np.nan)
+        least = min((float(np.nanmin(image)) for image in self.images), default=np.nan)
+        most = max((float(np.nanmax(image)) for image in self.images), default=np.nan)
         radiances = f"radiance {least:.4g} to {most:.4g} W m^-2 sr^-1"
-        return f"Measurements({len(self.views)} views of {pixels} pixels, {radiances})"
+        bad = self.bad_pixels
+        return f"Measurements({len(self.views)} views of {pixels} pixels, {radiances}{f', {bad} bad' if bad else ''})"
+
+    @property
+    def valid(self) -> tuple[np.ndarray, ...]:
+        """Which pixels are not bad: bool, the images' shapes."""
+        return tuple(~np.isnan(image) for image in self.images)
+
+    @property
+    def bad_pixels(self) -> int:
+        """How many pixels of all images are bad."""
+        return sum(int(np.isnan(image).sum()) for image in self.images)
 
     def resampled(self, pixels: Sequence[tuple[int, int]]) -> Measurements:
         """The same images averaged over larger pixels, (width, height) for each view.
+
+        A larger pixel is the mean of what is not bad in it, and bad if that is less than half of its area.
 
         Raises
         ------
@@ -82,10 +102,14 @@ class Measurements:
                 views.append(view)
             else:
                 views.append(view.with_pixels((width, height)))
-            images.append(resample(image, (height, width)))
+            valid = ~np.isnan(image)
+            covered = 1.0 if valid.all() else resample(valid.astype(float), (height, width))
+            whole = np.where(covered >= _LEAST_VALID, covered, np.nan)
+            images.append(resample(np.where(valid, image, 0.0), (height, width)) / whole)
             # Independent pixels: variances add with the squares of their shares.
             share = width * height / image.size
-            errors.append(np.sqrt(resample(error**2, (height, width)) * min(share, 1.0)))
+            variance = resample(np.where(valid, error**2, 0.0), (height, width)) / whole**2
+            errors.append(np.sqrt(variance * min(share, 1.0)))
         return Measurements(tuple(views), tuple(images), tuple(errors))
 
     def at_share(self, share: float) -> Measurements:
@@ -105,7 +129,7 @@ class Measurements:
         )
 
     def differences(self, modelled: Measurements) -> list[np.ndarray]:
-        """Modelled minus measured radiance in standard errors of both together; NaN where neither is known."""
+        """Modelled minus measured radiance in standard errors of both together; NaN where unknown, or bad."""
         differences = []
         for index, image in enumerate(self.images):
             error = np.hypot(self.standard_errors[index], modelled.standard_errors[index])

@@ -253,7 +253,14 @@ def plot_phase_function(axes: Axes, phase_function: AnyPhaseFunction, label: str
 def radiance_limit(measurements: Measurements) -> float:
     """White of the grey scale that all views share; the brightest 0.1 % of the pixels are cut."""
     pixels = np.concatenate([image.ravel() for image in measurements.images])
-    return max(float(np.quantile(pixels, 0.999)), 1e-12)
+    return max(float(np.nanquantile(pixels, 0.999)), 1e-12)
+
+
+def _grey() -> Any:
+    """Black to white, and bad pixels in a colour of their own."""
+    from matplotlib import colormaps
+
+    return colormaps["gray"].with_extremes(bad="tab:blue")
 
 
 def _image_columns(measurements: Measurements) -> int:
@@ -271,7 +278,7 @@ def plot_images(figure: Figure, measurements: Measurements) -> None:
             # A list of rays is often one row.
             aspect: Literal["auto", "equal"] = "auto" if isinstance(measurements.views[index], RayView) else "equal"
             image = panel.imshow(
-                measurements.images[index], cmap="gray", vmin=0, vmax=white, interpolation="nearest", aspect=aspect
+                measurements.images[index], cmap=_grey(), vmin=0, vmax=white, interpolation="nearest", aspect=aspect
             )
             panel.set_title(f"view {index}")
     figure.colorbar(image, ax=axes, label=RADIANCE_LABEL, extend="max", shrink=0.6)
@@ -280,7 +287,7 @@ def plot_images(figure: Figure, measurements: Measurements) -> None:
 def plot_image(axes: Axes, image: np.ndarray, white: float) -> Any:
     """A radiance image, row 0 at the top, from 0 (black) to `white`. Returns it, for a colour bar."""
     axes.set_axis_off()
-    return axes.imshow(image, cmap="gray", vmin=0, vmax=white, interpolation="nearest")
+    return axes.imshow(image, cmap=_grey(), vmin=0, vmax=white, interpolation="nearest")
 
 
 def plot_difference(axes: Axes, difference: np.ndarray, largest: float = 5.0) -> Any:
@@ -336,7 +343,7 @@ def save_previews(folder: Path, measurements: Measurements) -> list[Path]:
     paths = []
     for index, image in enumerate(measurements.images):
         paths.append(folder / f"view_{index}.png")
-        imsave(paths[-1], image, vmin=0.0, vmax=white, cmap="gray", origin="upper")
+        imsave(paths[-1], image, vmin=0.0, vmax=white, cmap=_grey(), origin="upper")
     return paths
 
 

@@ -250,6 +250,8 @@ def _view_table(measurements: Measurements, modelled: Measurements) -> str:
     ):
         known = np.isfinite(difference)
         square = f"{np.mean(difference[known] ** 2):.3g}" if known.any() else "unknown"
+        valid = ~np.isnan(image)
+        image, model = image[valid], model[valid]
         relative = np.abs(model - image).mean() / max(np.abs(image).mean(), 1e-300)
         means = f"<td>{image.mean():#.4g}</td><td>{model.mean():#.4g}</td>"
         rows.append(f"<tr><td>{index}</td>{means}<td>{relative:.1%}</td><td>{square}</td></tr>")

@@ -31,7 +31,7 @@ class SeenPixels:
 
 
 def seen_pixels(measurements: Measurements, grid: Grid, mask: np.ndarray) -> SeenPixels:
-    """Pixels that look at voxels of the mask; the others teach little and cost as much.
+    """Pixels that look at voxels of the mask and are not bad; the others teach little and cost as much.
 
     Raises
     ------
@@ -39,11 +39,11 @@ def seen_pixels(measurements: Measurements, grid: Grid, mask: np.ndarray) -> See
     """
     pixels, radiance, errors = [], [], []
     for index, view in enumerate(measurements.views):
-        chosen = np.flatnonzero(pixels_that_see(view, grid, mask))
+        chosen = np.flatnonzero(pixels_that_see(view, grid, mask) & measurements.valid[index])
         pixels.append(np.column_stack([np.full(len(chosen), index), chosen]))
         radiance.append(measurements.images[index].ravel()[chosen])
         errors.append(measurements.standard_errors[index].ravel()[chosen])
     if not any(map(len, radiance)):
-        raise DataError("no pixel of any view looks at the mask: check the views' positions and targets")
+        raise DataError("no good pixel of any view looks at the mask: check the views' positions and targets")
     listed = np.concatenate(pixels).astype(np.uint32)
     return SeenPixels(measurements.views, listed, np.concatenate(radiance), np.concatenate(errors))

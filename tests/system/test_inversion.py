@@ -64,6 +64,30 @@ def test_a_time_limit_ends_the_run_with_a_result(problem, device):
     assert len(result.history) == 1 and np.isfinite(result.extinction).all()
 
 
+@pytest.mark.parametrize("method", ["gauss-newton", "adam"])
+def test_what_bad_pixels_held_changes_no_bit(problem, device, method):
+    scene, measurements, truth = problem
+    options = {"optimizer": ct.Optimizer(type=method), "stages": STAGES[:1]}
+    recovered = []
+    for error in (np.nan, 0.0, 1e9):
+        images = tuple(image.copy() for image in measurements.images)
+        errors = tuple(error.copy() for error in measurements.standard_errors)
+        images[1][5:7, 8], errors[1][5:7, 8] = np.nan, error
+        marked = ct.Measurements(measurements.views, images, errors)
+        recovered.append(recover((scene, marked, truth), device, **options).extinction)
+    assert np.isfinite(recovered[0]).all()
+    for other in recovered[1:]:
+        np.testing.assert_array_equal(recovered[0], other)
+
+
+def test_images_of_different_sizes_recover_the_cloud(problem, device):
+    scene, measurements, truth = problem
+    sizes = [view.pixels if index % 2 else (10, 12) for index, view in enumerate(measurements.views)]
+    result = recover((scene, measurements.resampled(sizes), truth), device, seed=2)
+    start = np.where(truth > 0, 2.0, 0.0)
+    assert ct.epsilon(result.extinction, truth) < 0.7 * ct.epsilon(start, truth)
+
+
 def test_an_empty_mask_is_refused(problem, device):
     with pytest.raises(DataError, match="mask is empty"):
         recover(problem, device, mask=np.zeros((8, 8, 8), bool))

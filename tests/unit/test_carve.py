@@ -112,6 +112,20 @@ def test_a_contour_as_bright_as_the_ground_is_closed():
     assert cloudy.sum() == 81
 
 
+def test_a_bad_pixel_rules_nothing_out():
+    seen, clear = images([FROM_ABOVE], [(0, 0, 2)])
+    seen.images[0][6, 6] = np.nan
+    mask = carve(GRID, seen, clear)
+    assert mask[6, 1].all() and mask.sum() == 2 * GRID.shape[2]
+
+
+def test_a_bad_pixel_opens_no_way_to_its_neighbours():
+    """Closing gaps of a pixel or two would join it to the cloud."""
+    seen, clear = images([FROM_ABOVE], [(0, 3, 2), (0, 4, 2)])
+    seen.images[0][3, 4] = np.nan
+    assert [tuple(place) for place in np.argwhere(cloudy_pixels(seen, clear)[0])] == [(3, 2), (3, 4), (4, 2)]
+
+
 def test_rays_beside_the_domain_do_not_count():
     wide = OrthographicView(width=1.6, pixels=(16, 16), zenith=0.0)
     meets = pixels_that_meet(wide, GRID)

@@ -316,7 +316,7 @@ def test_missing_settings_are_named(tmp_path):
 @pytest.mark.parametrize(
     ("name", "value", "text"),
     [
-        ("radiance", np.nan, "images of view 1 are not finite at row 0, column 0"),
+        ("radiance", np.inf, "images of view 1 are not finite at row 0, column 0"),
         ("image_width", 7, "image_width is"),
         ("field_of_view", 200.0, "view 0 is not possible: .*field_of_view"),
         ("view_type", "fisheye", "view 0 is not possible"),
@@ -336,6 +336,26 @@ def test_unfit_measurements_are_named(tmp_path, name, value, text):
     data.to_netcdf(tmp_path / "wrong.nc")
     with pytest.raises(DataError, match=text):
         io.read_measurements(tmp_path / "wrong.nc")
+
+
+def test_bad_pixels_survive_a_file(tmp_path):
+    measurements = some_measurements()
+    measurements.images[0][1, 2] = np.nan
+    io.write_measurements(tmp_path / "images.nc", measurements)
+    read = io.read_measurements(tmp_path / "images.nc")
+    for kept, image in zip(read.images, measurements.images):
+        np.testing.assert_array_equal(kept, image)
+
+
+def test_a_variable_says_which_pixels_are_valid(tmp_path):
+    io.write_measurements(tmp_path / "images.nc", some_measurements())
+    with xr.open_dataset(tmp_path / "images.nc") as data:
+        data = data.load()
+    valid = np.ones(data.radiance.shape, np.int8)
+    valid[1, 3, 0] = 0
+    data["valid"] = (("view", "row", "column"), valid)
+    read = io.read_measurements(data)
+    assert read.bad_pixels == 1 and np.isnan(read.images[1][3, 0])
 
 
 def test_the_package_imports_without_xarray():

@@ -6,6 +6,7 @@ import pytest
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.seen_pixels import seen_pixels
 from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, RayView
 
 
@@ -66,7 +67,7 @@ def test_images_of_another_size_than_their_view_are_refused(random):
 def test_a_pixel_that_is_not_finite_is_named(random):
     view = OrthographicView(zenith=0, width=1.0, pixels=(4, 5))
     image = np.ones((5, 4))
-    image[3, 2] = np.nan
+    image[3, 2] = np.inf
     with pytest.raises(DataError, match="row 3, column 2"):
         Measurements((view,), (image,), (np.ones((5, 4)),))
 
@@ -74,3 +75,54 @@ def test_a_pixel_that_is_not_finite_is_named(random):
 def test_images_without_a_view_are_refused():
     with pytest.raises(DataError, match="there is no view"):
         Measurements((), (), ())
+
+
+def with_bad_pixels(random, chosen):
+    fine = measurements(random)
+    fine.images[0][chosen] = np.nan
+    return fine
+
+
+def test_a_larger_pixel_is_the_mean_of_what_is_not_bad(random):
+    fine = with_bad_pixels(random, (0, 1))
+    coarse = fine.resampled([(6, 4)])
+    assert coarse.images[0][0, 0] == pytest.approx(np.nanmean(fine.images[0][:2, :2]))
+    assert coarse.standard_errors[0][0, 0] == pytest.approx(0.3 / np.sqrt(3))
+
+
+def test_a_larger_pixel_that_is_mostly_bad_is_bad(random):
+    """Of the first one three quarters are bad, of its neighbour half."""
+    coarse = with_bad_pixels(random, ([0, 0, 1, 0, 1], [0, 1, 1, 2, 2])).resampled([(6, 4)])
+    np.testing.assert_array_equal(np.argwhere(np.isnan(coarse.images[0])), [[0, 0]])
+
+
+def test_other_larger_pixels_do_not_feel_bad_ones(random):
+    fine = measurements(random)
+    whole = fine.resampled([(6, 4)]).images[0]
+    fine.images[0][0, 0] = np.nan
+    differs = ~np.isclose(fine.resampled([(6, 4)]).images[0], whole, rtol=1e-12)
+    np.testing.assert_array_equal(np.argwhere(differs), [[0, 0]])
+
+
+def test_errors_of_bad_pixels_mean_nothing(random):
+    view = OrthographicView(zenith=0, width=1.0, pixels=(4, 5))
+    image, error = np.ones((5, 4)), np.ones((5, 4))
+    image[3, 2] = error[3, 2] = np.nan
+    assert Measurements((view,), (image,), (error,)).bad_pixels == 1
+
+
+def test_an_image_of_bad_pixels_alone_is_refused():
+    view = OrthographicView(zenith=0, width=1.0, pixels=(4, 5))
+    with pytest.raises(DataError, match="all pixels of view 0 are bad"):
+        Measurements((view,), (np.full((5, 4), np.nan),), (np.ones((5, 4)),))
+
+
+def test_bad_pixels_are_not_among_those_that_see_cloud(random):
+    grid = Grid(shape=(2, 2, 2), spacing=(0.5, 0.5, 0.5))
+    mask = np.ones(grid.shape, bool)
+    fine = measurements(random)
+    before = seen_pixels(fine, grid, mask)
+    place = before.pixels[5, 1]
+    fine.images[0].flat[place] = np.nan
+    after = seen_pixels(fine, grid, mask)
+    assert len(after.pixels) == len(before.pixels) - 1 and place not in after.pixels[:, 1]
