@@ -10,6 +10,7 @@ import numpy as np
 
 from cloudtomo_cl.device import Device
 from cloudtomo_cl.errors import AuditError
+from cloudtomo_cl.fixed_point import require_sums
 from cloudtomo_cl.layout import ACCOUNT_COPIES, FATES, WEIGHT_UNIT
 
 # Each path's balance is rounded to single precision, a few hundred times in thick clouds.
@@ -81,6 +82,12 @@ class Audit:
             )
 
 
+def check_replays(astray: int, paths: int) -> None:
+    """AuditError if of so many paths that were walked again too many brought another radiance than before."""
+    if astray > _LOST_SHARE_LIMIT * paths:
+        raise AuditError(f"{astray} of {paths} paths brought another radiance when they were walked again: {_ADVICE}")
+
+
 def combined(audits: Sequence[Audit]) -> Audit:
     """The audit of several runs of paths together."""
     launched = sum(audit.launched for audit in audits)
@@ -112,8 +119,14 @@ class Account:
         """What the account says.
 
         radiance_sum : of all paths, sr^-1, what a truncation left
+
+        Raises
+        ------
+        TransportError : a sum has overflowed
         """
-        sums = dict(zip(FATES, self.sums.get().sum(axis=0) / WEIGHT_UNIT))
+        copies = self.sums.get()
+        require_sums(copies, "the account of the paths' weights", "copy and fate")
+        sums = dict(zip(FATES, copies.sum(axis=0, dtype=float) / WEIGHT_UNIT))
         launched = sums["LAUNCHED"]
         shares = {name: float(value / max(launched, 1.0)) for name, value in sums.items()}
         removed = float(sums["TRUNCATED"])

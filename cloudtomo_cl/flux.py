@@ -11,7 +11,8 @@ import numpy as np
 from cloudtomo_cl.audit import Account, Audit
 from cloudtomo_cl.device import Device, Pace, choose_device, device_errors
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.layout import FLUXES, WEIGHT_UNIT, sun_view_struct
+from cloudtomo_cl.fixed_point import require_sums
+from cloudtomo_cl.layout import FLUXES, MOST_SAMPLES, WEIGHT_UNIT, sun_view_struct
 from cloudtomo_cl.medium import Medium
 from cloudtomo_cl.scene import Scene
 
@@ -134,8 +135,9 @@ class FluxOperator:
 
         Raises
         ------
-        DataError : extinction of another shape, negative or not finite; no photons
+        DataError : extinction of another shape, negative or not finite; no photons, or too many
         AuditError : energy was lost or gained (see `Audit.check`)
+        TransportError : a column's sum has overflowed
         """
         import pyopencl.array
 
@@ -143,6 +145,9 @@ class FluxOperator:
             raise DataError(f"photons is {photons}: it must be at least 1")
         field = self._medium.field(extinction, skips_clear=True)
         samples = -(-photons // (_BATCHES * self._pixels))  # per pixel of the sun and batch
+        if _BATCHES * samples > MOST_SAMPLES:
+            most = MOST_SAMPLES // _BATCHES * _BATCHES * self._pixels
+            raise DataError(f"photons is {photons:.6g}: this scene has at most {most:.6g}")
         shape = (len(FLUXES), *self.scene.grid.shape[:2])
         account = Account(self.device)
         batches = np.empty((_BATCHES, *shape))
@@ -167,7 +172,9 @@ class FluxOperator:
                 done += number
                 if progress:
                     progress((batch * samples + done) * self._pixels)
-            batches[batch] = columns.get() / WEIGHT_UNIT
+            weights = columns.get()
+            require_sums(weights, "a flux", "kind and column")
+            batches[batch] = weights / WEIGHT_UNIT
         launched = _BATCHES * samples * self._pixels
         audit = account.audit()
         audit.check(launched)

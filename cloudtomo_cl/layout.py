@@ -65,6 +65,10 @@ FLUXES = ("REFLECTED", "DIRECT", "DIFFUSE", "ABSORBED")
 WEIGHT_UNIT = 2.0**24
 ACCOUNT_COPIES = 64
 FIELD_UNIT = 2.0**30
+# Paths of a pixel: kernels number them with unsigned integers of 32 bits.
+MOST_SAMPLES = 2**32 - 1
+# Sums in fixed point that leave this range on either side have overflowed: fixed_point.py.
+LARGEST_SUM = 2**62
 
 
 def _constants() -> str:
@@ -77,6 +81,7 @@ def _constants() -> str:
     lines.append(f"#define WEIGHT_UNIT {WEIGHT_UNIT:.1f}f")
     lines.append(f"#define ACCOUNT_COPIES {ACCOUNT_COPIES}")
     lines.append(f"#define FIELD_UNIT {FIELD_UNIT:.1f}f")
+    lines.append(f"#define LARGEST_SUM {LARGEST_SUM}ul")
     return "\n".join(lines)
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.fixed_point import require_sums
 from cloudtomo_cl.layout import FIELD_UNIT
 from cloudtomo_cl.memory import require, require_jacobian
 from cloudtomo_cl.phase import PhaseFunction
@@ -38,6 +39,8 @@ _POINTS = 12
 _OWN_CROSSINGS, _NEIGHBOUR_CROSSINGS = 5.0, 0.05
 # The table with what is added to it, on host and device, and what smoothing it takes.
 _BYTES_PER_CELL = 60
+# Kernels count the table's entries with signed integers of 32 bits.
+_MOST_CELLS = 2**31 - 1
 # Entries of the Jacobian that a device makes at a time.
 _BLOCK = 1 << 25
 # Its columns that are pooled at a time.
@@ -80,6 +83,11 @@ class RadianceField:
             f"the radiance field of {self.columns} voxels",
             'choose a smaller mask or grid, or optimizer.gradient = "replay"',
         )
+        if 2 * self.columns * BINS > _MOST_CELLS:
+            raise DataError(
+                f"the radiance field of {self.columns} voxels is more than kernels count: choose a smaller mask or "
+                'grid, or optimizer.gradient = "replay"'
+            )
         column = np.full(mask.shape, -1, np.int32)
         column[mask] = np.arange(self.columns)
         self._column = device.constant(column)
@@ -114,6 +122,10 @@ class RadianceField:
 
         The rendering's paths go into the table for the gradients after
         this one; before the first, they fill it.
+
+        Raises
+        ------
+        AuditError, TransportError : as `RadianceOperator.gradient`
         """
         if self._gradients == 0:
             self._walk(rendering, np.zeros_like(adjoint), change)
@@ -134,6 +146,7 @@ class RadianceField:
         Raises
         ------
         DataError : there is not memory enough
+        AuditError, TransportError : as `RadianceOperator.gradient`
         """
         operator, pixels = self._operator, len(self._operator.pixels)
         require_jacobian(pixels, self.columns)
@@ -191,6 +204,7 @@ class RadianceField:
                 total.data, paths.data, self._field.data,
             )  # fmt: skip
             tangent += paths.get().reshape(-1, len(operator.pixels)).sum(axis=0, dtype=float)
+        require_sums(total.get(), "the gradient", "voxel")
         irradiance = operator.scene.sun.irradiance
         unit = largest / FIXED_POINT_SCALE * irradiance / (rendering.samples // 2)
         return total.astype(np.float32) * np.float32(unit), tangent * irradiance / rendering.samples
@@ -198,7 +212,9 @@ class RadianceField:
     def _refresh(self, rendering: Rendering) -> None:
         """Makes source and radiance anew from what paths have brought, at a rendering's extinction."""
         self._table *= _FADING
-        self._table += self._field.get() / np.float32(FIELD_UNIT)
+        field = self._field.get()
+        require_sums(field, "the radiance field", "voxel of the mask, direction and kind")
+        self._table += field / np.float32(FIELD_UNIT)
         self._field.fill(0)
         radiance = self._radiance()
         scattered = self._albedo * (radiance @ self._scattering.T) - radiance

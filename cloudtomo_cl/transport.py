@@ -9,10 +9,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cloudtomo_cl.audit import Account, Audit
+from cloudtomo_cl.audit import Account, Audit, check_replays
 from cloudtomo_cl.device import Device, Pace, choose_device, device_errors
 from cloudtomo_cl.errors import DataError, TransportError
-from cloudtomo_cl.layout import STRUCTS, ray_array, view_structs
+from cloudtomo_cl.fixed_point import require_sums
+from cloudtomo_cl.layout import MOST_SAMPLES, STRUCTS, ray_array, view_structs
 from cloudtomo_cl.medium import Field, Medium
 from cloudtomo_cl.memory import require_rendering
 from cloudtomo_cl.scene import Scene
@@ -183,7 +184,7 @@ class RadianceOperator:
 
         Raises
         ------
-        DataError : extinction of another shape, negative or not finite; samples odd
+        DataError : extinction of another shape, negative or not finite; samples odd, or beyond 2^32
         TransportError : a radiance is not finite
         AuditError : energy was lost or gained (see `Audit.check`)
         """
@@ -191,6 +192,8 @@ class RadianceOperator:
             raise DataError(f"samples is {samples}: it must be even and at least 2 (halves are compared)")
         if first_sample < 0 or first_sample % 2:
             raise DataError(f"first_sample is {first_sample}: it must be even and at least 0")
+        if first_sample + samples > MOST_SAMPLES:
+            raise DataError(f"{first_sample + samples} paths per pixel are more than the {MOST_SAMPLES} that there are")
         queue, count = self.device.queue, len(self.pixels)
         medium = self._medium.field(extinction, skips_clear=not keep_paths)
         size = count * STRUCTS["PixelSums"].itemsize
@@ -284,6 +287,8 @@ class RadianceOperator:
         Raises
         ------
         DataError : the rendering did not keep its paths, or adjoint has another shape
+        AuditError : paths bring other radiances than before
+        TransportError : a voxel's sum has overflowed
         """
         if not rendering._launches:
             raise DataError("this rendering kept no paths: render with keep_paths=True")
@@ -298,6 +303,7 @@ class RadianceOperator:
             factors = self.device.constant((adjoint * (FIXED_POINT_SCALE / largest)).astype(np.float32))
             for launch in self.kept_launches(rendering):
                 launch.run(self._replay_paths, factors, total.data)
+            require_sums(total.get(), "the gradient", "voxel")
         scale = largest / FIXED_POINT_SCALE * self.scene.sun.irradiance / (rendering.samples // 2)
         return total.astype(np.float32) * np.float32(scale)
 
@@ -307,12 +313,15 @@ class RadianceOperator:
         Raises
         ------
         DataError : the rendering did not keep its paths
+        AuditError : after the last of them, if paths have brought other radiances than before
         """
         if not rendering._launches:
             raise DataError("this rendering kept no paths: render with keep_paths=True")
+        astray = self._array.zeros(self.device.queue, 1, np.uint32)
         for first, paths in rendering._launches:
             given = self._arguments(rendering._medium, first, paths.size, rendering.seed, rendering.iteration)
-            yield KeptLaunch(paths.size, paths.size // len(self.pixels), self._pace, (*given, paths.data))
+            yield KeptLaunch(paths.size, paths.size // len(self.pixels), self._pace, (*given, paths.data, astray.data))
+        check_replays(int(astray.get()[0]), rendering.samples * len(self.pixels))
 
     def images(self, values: np.ndarray) -> list[np.ndarray]:
         """Values per pixel as one image (rows, columns) per view; NaN where no pixel is."""

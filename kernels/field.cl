@@ -19,6 +19,7 @@ __kernel void field_paths(__constant Scene *scene, const __global View *views,
                           const uint pixel_count, const uint first_sample, const uint path_count,
                           const uint seed, const uint iteration,
                           const __global float *path_radiance, /* from render_paths, sr^-1 */
+                          volatile __global uint *astray,      /* as of replay_paths */
                           const __global float2 *adjoint,      /* per pixel: even, odd samples */
                           const __global int *column,          /* of every voxel in the field, or -1 */
                           const __global float *scattered,     /* [column][bin]: source - radiance, sr^-1 */
@@ -50,6 +51,7 @@ __kernel void field_paths(__constant Scene *scene, const __global View *views,
     record.change = change;
     record.tangent = 0.0f;
     trace_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &record);
+    check_replay(&record, astray);
     path_tangent[path] = record.tangent;
 }
 

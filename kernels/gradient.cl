@@ -11,6 +11,7 @@ __kernel void replay_paths(__constant Scene *scene, const __global View *views,
                            const uint pixel_count, const uint first_sample, const uint path_count,
                            const uint seed, const uint iteration,
                            const __global float *path_radiance, /* from render_paths, sr^-1 */
+                           volatile __global uint *astray,      /* paths that bring something else now */
                            const __global float2 *adjoint,      /* per pixel: even, odd samples */
                            volatile __global Accumulator *gradient)
 {
@@ -32,4 +33,5 @@ __kernel void replay_paths(__constant Scene *scene, const __global View *views,
     const SampleKey key = {seed, iteration, pixel.y, pixel.x, sample};
     const Medium medium = make_medium(scene, extinction, table_row, clear, profiles);
     trace_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &record);
+    check_replay(&record, astray);
 }

@@ -12,6 +12,7 @@ __kernel void jacobian_rows(__constant Scene *scene, const __global View *views,
                             const uint pixel_count, const uint first_sample, const uint path_count,
                             const uint seed, const uint iteration,
                             const __global float *path_radiance, /* from render_paths, sr^-1 */
+                            volatile __global uint *astray,      /* as of replay_paths */
                             const uint begin, const uint end,
                             const __global int *column,          /* of every voxel in the field, or -1 */
                             const __global float *scattered,     /* [column][bin]: source - radiance, sr^-1 */
@@ -40,5 +41,6 @@ __kernel void jacobian_rows(__constant Scene *scene, const __global View *views,
         record.first_row = first_rows + row * column_count;
         record.later_row = later_rows + row * column_count;
         trace_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &record);
+        check_replay(&record, astray);
     }
 }

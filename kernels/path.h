@@ -32,6 +32,8 @@ inline uint path_of_item(uint item, uint pixel_count, uint path_count)
 
 /* Paths lighter than this are continued with probability weight / PATH_ROULETTE_WEIGHT. */
 #define PATH_ROULETTE_WEIGHT 0.1f
+/* Share of its radiance by which a path walked again may differ: rounding. */
+#define REPLAY_TOLERANCE 1e-4f
 /* Side flights aimed at the sun: expected number per unit of weight x phase function (sr),
  * its bounds, and the threshold of the roulette on local estimates (sr^-1). Found by
  * measurement: docs/estimators.md. */
@@ -144,6 +146,16 @@ inline Fate fate_of(const __constant Scene *scene, const Record *record, const R
         return flight->met_grid ? FATE_SIDES : FATE_MISSED;
     return ray->direction.z > 0.0f ? FATE_TOP : FATE_BOTTOM;
 }
+
+#if defined(CLOUDTOMO_REPLAY) || defined(CLOUDTOMO_FIELD)
+/* A path that is walked again brings what it brought. If not, what it deposited is wrong: the device
+ * computes wrongly, or has ended a loop before its time. */
+inline void check_replay(const Record *record, volatile __global uint *astray)
+{
+    if (!(magnitude(record->radiance - record->total) <= REPLAY_TOLERANCE * record->total))
+        atomic_inc(astray);
+}
+#endif
 
 /* Walks the whole path from its first ray; record->radiance ends as its total. */
 inline void trace_path(const Medium *medium, Ray ray, const SampleKey *key, Record *record)

@@ -44,6 +44,12 @@ long __attribute__((overloadable)) atom_add(volatile __global long *sum, long va
     __asm__ volatile("atom.global.add.u64 %0, [%1], %2;" : "=l"(before) : "l"(sum), "l"(value) : "memory");
     return before;
 }
+long __attribute__((overloadable)) atom_xchg(volatile __global long *sum, long value)
+{
+    long before;
+    __asm__ volatile("atom.global.exch.b64 %0, [%1], %2;" : "=l"(before) : "l"(sum), "l"(value) : "memory");
+    return before;
+}
 #endif
 """
 

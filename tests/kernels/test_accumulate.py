@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from cloudtomo_cl.errors import TransportError
+from cloudtomo_cl.fixed_point import first_overflow, require_sums
 from cloudtomo_cl.transport import parts
 
 ADDS, SUMS = 98_000, 7  # a multiple
@@ -20,7 +22,7 @@ def accumulated(probe, values):
 
 def test_sums_of_integers_are_exact(any_probe, random):
     # Beyond 2^24 a float holds every second integer or fewer; the sums exceed 2^53.
-    values = np.rint(random.normal(size=ADDS) * 2.0**50).astype(np.float32)
+    values = np.rint(random.normal(size=ADDS) * 2.0**48).astype(np.float32)
     exact = [sum(int(v) for v in values[i::SUMS]) for i in range(SUMS)]
     assert accumulated(any_probe, values).tolist() == exact
 
@@ -38,6 +40,29 @@ def test_no_addition_is_lost_where_all_add_into_one(any_probe, random):
         "probe_accumulate", len(values), np.uint32(1), np.float32(values), results=[np.zeros(1, np.int64)]
     )
     assert found[0] == values.sum()
+
+
+def test_sums_may_use_half_of_their_bits(any_probe):
+    values = np.full(ADDS, 2.0**62 / ADDS * SUMS * 0.999, np.float32)
+    exact = [sum(int(v) for v in values[i::SUMS]) for i in range(SUMS)]
+    found = accumulated(any_probe, values)
+    assert found.tolist() == exact and first_overflow(found) is None
+
+
+@pytest.mark.parametrize(
+    "value, at",
+    [(2.0**62 / ADDS * SUMS * 1.001, ADDS), (2.0**60, 5 * SUMS), (2.0**60, ADDS), (-(2.0**60), ADDS), (2.0**61, 1),
+     (np.inf, 1), (-np.inf, 1), (np.nan, 1)],
+)  # fmt: skip
+def test_sums_that_leave_their_range_are_known(any_probe, random, value, at):
+    """`at` addends that are too much, all around them small ones of both signs: sums that came back by wrapping
+    (2^60 added 16 times) are known as well."""
+    values = random.normal(size=ADDS).astype(np.float32) * 1000
+    values[random.permutation(ADDS // SUMS)[: max(at // SUMS, 1)] * SUMS + 3] = value
+    found = accumulated(any_probe, values)
+    assert first_overflow(found) == (3,)
+    with pytest.raises(TransportError, match=r"the sum .* at place \(3,\)"):
+        require_sums(found, "the sum", "place")
 
 
 def compensated(probe, values, terms):

@@ -2,11 +2,14 @@
 
 from dataclasses import replace
 
+import numpy as np
+import pyopencl.array
 import pytest
 from scenes import ABOVE, CAMERA, SCENES, extinction_of
 
 from cloudtomo_cl.audit import Audit, combined
-from cloudtomo_cl.errors import AuditError
+from cloudtomo_cl.errors import AuditError, TransportError
+from cloudtomo_cl.radiance_field import RadianceField
 from cloudtomo_cl.transport import RadianceOperator
 
 SOUND = Audit(
@@ -54,6 +57,34 @@ def test_a_kernel_that_loses_weight_is_caught(device, monkeypatch):
     scene = SCENES["forward peak"]
     with pytest.raises(AuditError, match="add up|paths came to an end"):
         RadianceOperator(scene, [ABOVE], device).render(extinction_of(scene), 100)
+
+
+@pytest.mark.parametrize("walk", ["replay", "field", "jacobian"])
+def test_paths_that_bring_something_else_when_walked_again_are_caught(device, walk):
+    """As on a device that ends loops before their time: here the kept radiances are others."""
+    scene = SCENES["forward peak"]
+    operator = RadianceOperator(scene, [ABOVE], device, mask=np.ones(scene.grid.shape, bool))
+    rendering = operator.render(extinction_of(scene), 100, keep_paths=True)
+    walks = {
+        "replay": lambda: operator.gradient(rendering, np.ones((9, 2))),
+        "field": lambda: RadianceField(operator).gradient(rendering, np.ones((9, 2)), nothing),
+        "jacobian": lambda: RadianceField(operator).jacobian(rendering),
+    }
+    nothing = pyopencl.array.zeros(device.queue, scene.grid.shape, np.float32)
+    walks[walk]()
+    for _, paths in rendering._launches:
+        paths *= np.float32(1.01)
+    with pytest.raises(AuditError, match="paths brought another radiance"):
+        walks[walk]()
+
+
+def test_a_gradient_that_overflows_is_an_error(device, monkeypatch):
+    monkeypatch.setattr("cloudtomo_cl.transport.FIXED_POINT_SCALE", 2.0**68)
+    scene = SCENES["forward peak"]
+    operator = RadianceOperator(scene, [ABOVE], device)
+    rendering = operator.render(extinction_of(scene), 100, keep_paths=True)
+    with pytest.raises(TransportError, match=r"the gradient .* at voxel \(\d, \d, \d\)"):
+        operator.gradient(rendering, np.ones((9, 2)))
 
 
 def test_truncation_removes_and_says_how_much(device):
