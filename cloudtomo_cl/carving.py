@@ -73,6 +73,8 @@ def cloudy_pixels(
         raise DataError(f"contrast is {contrast} and significance {significance}: neither may be negative")
     differences = [np.abs(image - ground) for image, ground in zip(measurements.images, clear.images)]
     errors = [np.hypot(*pair) for pair in zip(measurements.standard_errors, clear.standard_errors)]
+    gains = zip(errors, measurements.images, measurements.calibration_errors)
+    errors = [np.hypot(error, image * gain) if gain else error for error, image, gain in gains]
     scales = np.array([np.nanpercentile(difference, _SCALE_PERCENTILE) for difference in differences])
     scales = np.maximum(scales, scales.max() / 4)
     cloudy = []

@@ -147,6 +147,7 @@ def identity_of(
         "view": [settings(view) for view in measurements.views],
         "images": [_digest(image) for image in measurements.images],
         "standard_errors": [_digest(error) for error in measurements.standard_errors],
+        "calibration_errors": [*measurements.calibration_errors],
         "mask": _digest(mask),
         "truth": None if truth is None else _digest(np.asarray(truth, np.float64)),
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -105,7 +106,7 @@ def reconstruct(
         measurements, stored = _read_measurements(settings.measurements.file)
     if settings.view is not None:
         try:
-            measurements = Measurements(views(settings.view), measurements.images, measurements.standard_errors)
+            measurements = replace(measurements, views=views(settings.view))
         except DataError as error:
             raise SettingsError(f"{run}: view: the views do not fit {settings.measurements.file}: {error}") from None
     scene = settings.scene(stored.get("scene", {}))

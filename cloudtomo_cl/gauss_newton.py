@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 
 from cloudtomo_cl.checkpoint import joined, part
 from cloudtomo_cl.method import Progress, check_gradient
-from cloudtomo_cl.objective import cost_of_independent, noise_of, relative_weights
+from cloudtomo_cl.objective import Gains, cost_of_independent, noise_of, pixel_weights
 from cloudtomo_cl.optimizer import Optimizer
 from cloudtomo_cl.prior import Prior, PriorOperator
 from cloudtomo_cl.radiance_field import RadianceField
@@ -68,9 +68,10 @@ class GaussNewton:
         self._seed = seed
         self._samples = stage.samples or samples_of(len(seen.pixels), int(mask.sum()))
         self._measured = seen.radiance
-        self._weights = relative_weights(seen.radiance)
+        self._weights = pixel_weights(seen.radiance, seen.standard_error)
         self._measured_noise = noise_of(seen.standard_error**2, self._weights)
         self._unit = 2 * self._measured_noise / len(seen.pixels)  # n of the prior
+        self._gains = Gains(self._weights, seen.pixels[:, 0], seen.calibration_errors, self._unit)
         self._smoothness = prior.smoothness
         self._curvature_of_sparsity = prior.sparsity / prior.clear**2
         self._prior = PriorOperator(prior, operator.scene.grid.shape, operator.device)
@@ -123,7 +124,7 @@ class GaussNewton:
     def _cost(self, halves: np.ndarray) -> tuple[float, float]:
         variance = (halves[:, 0] - halves[:, 1]) ** 2 / 2
         first, second = (halves - self._measured[:, None]).T
-        return cost_of_independent(first, variance, second, variance, self._weights)
+        return cost_of_independent(first, variance, self._gains(second, self._image), variance, self._weights)
 
     def _remember(self, image: np.ndarray, variance: np.ndarray) -> None:
         """Averages an image into that remembered, by how much noise and error each has."""
@@ -148,8 +149,7 @@ class GaussNewton:
 
     def _step(self, jacobian: np.ndarray, where: str) -> None:
         """Minimises the model: residuals and their derivatives, the prior, and a damping of the step."""
-        start, residual = self._extinction, self._image - self._measured
-        roots = np.sqrt(self._weights)
+        start, residual, image = self._extinction, self._image - self._measured, self._image.copy()
         curvature = np.zeros(len(start))
         block = max(1, (1 << 24) // len(start))
         for first in range(0, len(jacobian), block):
@@ -163,11 +163,12 @@ class GaussNewton:
         def model(scaled: np.ndarray) -> tuple[float, np.ndarray]:
             values = scaled * scale
             change = values - start
-            misfit = roots * (residual + jacobian @ change.astype(np.float32))
+            misfit = residual + jacobian @ change.astype(np.float32)
+            force = self._weights * self._gains(misfit, image)
             prior, prior_gradient = self._prior_at(values)
             held = damping * curvature * change
-            gradient = (roots * misfit).astype(np.float32) @ jacobian + held + prior_gradient
-            return 0.5 * float(misfit @ misfit + held @ change) + prior, gradient * scale
+            gradient = force.astype(np.float32) @ jacobian + held + prior_gradient
+            return 0.5 * float(misfit @ force + held @ change) + prior, gradient * scale
 
         options = {"maxiter": self._optimizer.inner_iterations, "maxcor": _CORRECTIONS}
         bounds = [(0.0, None)] * len(start)
@@ -182,7 +183,8 @@ class GaussNewton:
         """Brings the data term nearer to what noise gives."""
         if self._optimizer.discrepancy is None or self._measured_noise == 0:
             return
-        misfit = noise_of((self._image - self._measured) ** 2, self._weights)
+        residual = self._image - self._measured
+        misfit = noise_of(residual * self._gains(residual, self._image), self._weights)
         excess = misfit / (self._optimizer.discrepancy * self._noise)
         # It only falls: a misfit that goes on falling below the noise is the fit's own part of it, and a weight
         # that followed it up would undo what later images add.

@@ -141,6 +141,11 @@ def measurements_dataset(
     coordinates: dict[str, Any] = {"axis": axis_coordinate()}
     for key, count in (("view", len(views)), ("row", rows), ("column", columns)):
         coordinates[key] = (key, np.arange(count, dtype=np.int32), {"units": "1", "long_name": f"{key}, from 0"})
+    if any(measurements.calibration_errors):
+        long_name = "standard error of a view's gain, common to all of its pixels"
+        variables["calibration_error"] = (
+            "view", np.array(measurements.calibration_errors, float), {"units": "1", "long_name": long_name}
+        )  # fmt: skip
     if cloud is not None:
         of_cloud = extinction_variables(name, *cloud)
         variables.update(of_cloud[0])
@@ -155,7 +160,7 @@ def read_measurements(source: Source) -> Measurements:
     """Reads what `write_measurements` wrote, or `measurements_dataset` made: the same images, the same views.
 
     Pixels are bad whose radiance is NaN, or where a variable `valid` (view, row, column), which a file may have,
-    is 0.
+    is 0. Another that it may have is `calibration_error` (view), relative.
 
     Raises
     ------
@@ -188,12 +193,16 @@ def read_measurements(source: Source) -> Measurements:
                 f"but a radiance at row {row}, column {column}: correct them, or set what lies beyond to NaN"
             )
     views = _views(path, dataset, heights, widths)
+    gains: tuple[float, ...] = ()
+    if "calibration_error" in dataset.variables:
+        gains = tuple(map(float, number_variable(path, dataset, "calibration_error", ("view",)).values))
     shapes = [(slice(0, int(height)), slice(0, int(width))) for height, width in zip(heights, widths)]
     try:
         return Measurements(
             views,
             tuple(image[shape].astype(np.float64) for image, shape in zip(radiance.values, shapes)),
             tuple(image[shape].astype(np.float64) for image, shape in zip(error.values, shapes)),
+            gains,
         )
     except DataError as wrong:
         raise DataError(f"{path}: {wrong}") from None

@@ -28,11 +28,14 @@ class Measurements:
     views : one per image
     images : radiance, W m^-2 sr^-1, each of shape (rows, columns) of its view; NaN in bad pixels, which nothing uses
     standard_errors : of the radiances, same unit and shapes; zero where unknown; of no meaning in bad pixels
+    calibration_errors : standard errors of the views' gains, which are 1, for instance 0.02; none: all exact.
+        They are no part of `standard_errors`, for they are common to all pixels of a view
     """
 
     views: tuple[View, ...]
     images: tuple[np.ndarray, ...]
     standard_errors: tuple[np.ndarray, ...]
+    calibration_errors: tuple[float, ...] = ()
 
     @classmethod
     def rendered(cls, operator: RadianceOperator, rendering: Rendering) -> Measurements:
@@ -61,6 +64,13 @@ class Measurements:
                     raise DataError(f"measurements: {name} of {where}{hint}")
                 if bad.all():
                     raise DataError(f"measurements: all pixels of view {index} are bad: leave the view out")
+        if not self.calibration_errors:
+            object.__setattr__(self, "calibration_errors", (0.0,) * len(self.views))
+        if len(self.calibration_errors) != len(self.views):
+            raise DataError(f"measurements: {len(self.calibration_errors)} calibration_errors, {len(self.views)} views")
+        for index, value in enumerate(self.calibration_errors):
+            if not 0 <= value < 1:
+                raise DataError(f"measurements: calibration_errors of view {index} is {value}: at least 0, below 1")
         for index, error in enumerate(self.standard_errors):
             if (error < 0).any():
                 raise DataError(f"measurements: standard_errors of view {index} are negative: they must be at least 0")
@@ -110,7 +120,7 @@ class Measurements:
             share = width * height / image.size
             variance = resample(np.where(valid, error**2, 0.0), (height, width)) / whole**2
             errors.append(np.sqrt(variance * min(share, 1.0)))
-        return Measurements(tuple(views), tuple(images), tuple(errors))
+        return Measurements(tuple(views), tuple(images), tuple(errors), self.calibration_errors)
 
     def at_share(self, share: float) -> Measurements:
         """The images with `share` of their width and height, but at least 8 pixels or all there are.

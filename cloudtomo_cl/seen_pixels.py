@@ -22,12 +22,14 @@ class SeenPixels:
     views : of the measurements
     pixels : (view, row * width + column), uint32, shape (pixels, 2)
     radiance, standard_error : as measured, W m^-2 sr^-1, shape (pixels,); errors are 0 where unknown
+    calibration_errors : of the views' gains
     """
 
     views: tuple[View, ...]
     pixels: np.ndarray
     radiance: np.ndarray
     standard_error: np.ndarray
+    calibration_errors: tuple[float, ...]
 
 
 def seen_pixels(measurements: Measurements, grid: Grid, mask: np.ndarray) -> SeenPixels:
@@ -46,4 +48,6 @@ def seen_pixels(measurements: Measurements, grid: Grid, mask: np.ndarray) -> See
     if not any(map(len, radiance)):
         raise DataError("no good pixel of any view looks at the mask: check the views' positions and targets")
     listed = np.concatenate(pixels).astype(np.uint32)
-    return SeenPixels(measurements.views, listed, np.concatenate(radiance), np.concatenate(errors))
+    return SeenPixels(
+        measurements.views, listed, np.concatenate(radiance), np.concatenate(errors), measurements.calibration_errors
+    )

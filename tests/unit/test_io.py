@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -345,6 +346,12 @@ def test_bad_pixels_survive_a_file(tmp_path):
     read = io.read_measurements(tmp_path / "images.nc")
     for kept, image in zip(read.images, measurements.images):
         np.testing.assert_array_equal(kept, image)
+
+
+def test_calibration_errors_survive_a_file(tmp_path):
+    measurements = replace(some_measurements(), calibration_errors=(0.02, 0.0, 0.1))
+    io.write_measurements(tmp_path / "images.nc", measurements)
+    assert io.read_measurements(tmp_path / "images.nc").calibration_errors == (0.02, 0.0, 0.1)
 
 
 def test_a_variable_says_which_pixels_are_valid(tmp_path):

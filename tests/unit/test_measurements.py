@@ -126,3 +126,10 @@ def test_bad_pixels_are_not_among_those_that_see_cloud(random):
     fine.images[0].flat[place] = np.nan
     after = seen_pixels(fine, grid, mask)
     assert len(after.pixels) == len(before.pixels) - 1 and place not in after.pixels[:, 1]
+
+
+@pytest.mark.parametrize(("errors", "text"), [((0.1, 0.1), "2 calibration_errors, 1 views"), ((-0.1,), "at least 0")])
+def test_unfit_calibration_errors_are_refused(random, errors, text):
+    fine = measurements(random)
+    with pytest.raises(DataError, match=text):
+        Measurements(fine.views, fine.images, fine.standard_errors, errors)

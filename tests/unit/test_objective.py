@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
-from cloudtomo_cl.objective import LaggedResidual
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.objective import Gains, LaggedResidual, pixel_weights, relative_weights
 
 PIXELS = 400
 MEASURED = np.full(PIXELS, 1.0)
@@ -60,3 +62,80 @@ def test_without_noise_the_adjoint_is_the_costs_derivative(memory):
     for _ in range(3):
         adjoint = residual.adjoint(np.column_stack([image, image]))
     np.testing.assert_allclose(adjoint.sum(axis=1), WEIGHTS * (image - MEASURED), atol=1e-12)
+
+
+def test_pixels_of_unknown_noise_have_relative_weights(random):
+    measured = random.random(50)
+    np.testing.assert_array_equal(pixel_weights(measured, np.zeros(50)), relative_weights(measured))
+
+
+def test_pixels_of_equal_relative_noise_have_relative_weights(random):
+    measured = random.random(50)
+    error = 0.02 / np.sqrt(relative_weights(measured))
+    np.testing.assert_allclose(pixel_weights(measured, error), relative_weights(measured))
+
+
+def test_noisy_pixels_weigh_by_their_inverse_variance():
+    """Of two that are far noisier than the others, one has three times the other's error."""
+    error = np.full(50, 0.02)
+    error[:2] = 100.0, 300.0
+    weights = pixel_weights(np.ones(50), error)
+    assert weights[0] / weights[1] == pytest.approx(9, rel=1e-3)
+    assert weights[0] < 1e-4 * weights[2]
+
+
+def test_no_pixel_weighs_much_more_than_by_its_radiance():
+    """However well it is known: the modelled radiance is not."""
+    error = np.full(50, 0.02)
+    error[0] = 1e-9
+    assert pixel_weights(np.ones(50), error)[0] == pytest.approx(4 / 3 * relative_weights(np.ones(50))[0])
+
+
+VIEW = np.arange(PIXELS) % 4
+UNIT = 0.01
+
+
+def with_gains(random, errors):
+    residual, modelled = random.normal(size=PIXELS), random.random(PIXELS)
+    return residual, modelled, Gains(WEIGHTS, VIEW, errors, UNIT)
+
+
+def test_gains_that_are_taken_out_cost_least(random):
+    """Against a general minimiser, over gains whose weighted mean is 1."""
+    errors = np.array([0.02, 0.05, 0.3, 0.05])
+    residual, modelled, gains = with_gains(random, tuple(errors))
+
+    def cost(change):
+        left = residual + change[VIEW] * modelled
+        return 0.5 * np.sum(WEIGHTS * left**2) + 0.5 * UNIT * np.sum((change / errors) ** 2)
+
+    balanced = {"type": "eq", "fun": lambda change: np.sum(change / errors**2)}
+    found = minimize(cost, np.zeros(4), method="SLSQP", constraints=balanced, options={"ftol": 1e-14})
+    assert 0.5 * np.sum(WEIGHTS * residual * gains(residual, modelled)) == pytest.approx(found.fun, rel=1e-6)
+
+
+def test_the_derivative_of_the_cost_with_the_best_gains(random):
+    residual, modelled, gains = with_gains(random, (0.02, 0.0, 0.3, 0.05))
+    step = 1e-3 * random.normal(size=PIXELS)
+    costs = [0.5 * np.sum(WEIGHTS * r * gains(r, modelled)) for r in (residual + step, residual - step)]
+    expected = 2 * np.sum(step * WEIGHTS * gains(residual, modelled))
+    assert costs[0] - costs[1] == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_gain_that_all_views_share_stays(random):
+    """Of views that see the same: nothing tells it from a brighter cloud."""
+    modelled = np.repeat(random.random(PIXELS // 4), 4)
+    gains = Gains(np.ones(PIXELS), VIEW, (0.1,) * 4, UNIT)
+    np.testing.assert_allclose(gains(0.2 * modelled, modelled), 0.2 * modelled)
+
+
+def test_exact_views_keep_their_residuals(random):
+    residual, modelled, gains = with_gains(random, (0.02, 0.0, 0.3, 0.05))
+    left = gains(residual, modelled)
+    np.testing.assert_array_equal(left[VIEW == 1], residual[VIEW == 1])
+    assert (left[VIEW == 2] != residual[VIEW == 2]).all()
+
+
+def test_calibration_errors_without_noise_are_refused():
+    with pytest.raises(DataError, match="standard errors"):
+        Gains(WEIGHTS, VIEW, (0.1,) * 4, 0.0)
