@@ -13,7 +13,7 @@ from cloudtomo_cl.prior import Prior, PriorOperator
 from cloudtomo_cl.radiance_field import RadianceField
 from cloudtomo_cl.seen_pixels import SeenPixels
 from cloudtomo_cl.stages import Stage
-from cloudtomo_cl.transport import RadianceOperator, pooled
+from cloudtomo_cl.transport import RadianceOperator, Rendering, pooled
 
 # Paths of an iteration that derivatives are made of, for each voxel of the mask, and the least of all.
 _PATHS_PER_VOXEL = 45
@@ -37,12 +37,19 @@ def samples_of(pixels: int, voxels: int) -> int:
     return max(2, 2 * round(max(_PATHS_PER_VOXEL * voxels, _LEAST_PATHS) / pixels / 2))
 
 
+def _rate(iteration: int) -> float:
+    """Share of an iteration, counted from 0, in a mean over about the later half of them."""
+    return 1 / (1 + iteration // 2)
+
+
 class GaussNewton:
     """Renders at an extinction, takes the derivatives there, and minimises the model of the cost they give.
 
     The images of all iterations are kept as one: their mean is carried along with the extinction by
     the derivatives, and every iteration's own paths are averaged into it, so that noise falls while
-    the steps get smaller. Parameters as of `StochasticDescent`.
+    the steps get smaller. Derivatives and estimate are means over the later half of the iterations:
+    noise of the derivatives alone would let them fit noise of the images (docs/results.md).
+    Parameters as of `StochasticDescent`.
 
     Source: Gauss-Newton with bounds; derivatives by `RadianceField.jacobian`; the prior's weight by
     Morozov's discrepancy principle (Morozov 1966).
@@ -80,6 +87,8 @@ class GaussNewton:
         self._mean = self._extinction.copy()
         self._image = np.zeros(len(seen.pixels))
         self._variance = np.zeros(len(seen.pixels))
+        self._jacobian: np.ndarray | None = None
+        self._walked: list[tuple[int, np.ndarray]] = []  # keys and extinctions that the derivatives are of
         self._lag = 0.0  # noise_of the errors of the last step's prediction
         self._prior_weight = self._stage_weight = stage.prior_weight
         self._iterations = 0
@@ -107,19 +116,28 @@ class GaussNewton:
         """
         operator, samples = self._operator, self._samples
         extinction = self.extinction
-        walked = operator.render(extinction, samples, self._seed, key, keep_paths=True)
+        if self._jacobian is None:  # after a resume
+            before, self._walked = self._walked, []
+            for earlier, values in before:
+                self._differentiate(earlier, values)
+        walked = self._differentiate(key, self._extinction)
         rendering = walked
         if self._optimizer.image_samples:
             more = samples * self._optimizer.image_samples
             rendering = pooled(walked, operator.render(extinction, more, self._seed, key, first_sample=samples))
         cost, error = self._cost(rendering.halves)
         self._remember(rendering.mean, rendering.standard_error**2)
-        jacobian = self._field.jacobian(walked)
         prior_value, _ = self._prior_at(self._extinction)
-        self._step(jacobian, where)
-        # Over the later half of the iterations: steps differ by the noise of their derivatives.
-        self._mean += (self._extinction - self._mean) / (1 + self._iterations // 2)
+        self._step(where)
+        self._mean += (self._extinction - self._mean) * _rate(self._iterations - 1)
         return Progress(cost, error, prior_value, rendering.samples * len(operator.pixels))
+
+    def _differentiate(self, key: int, values: np.ndarray) -> Rendering:
+        """Walks paths at an extinction, and averages their derivatives into those of iterations before."""
+        walked = self._operator.render(self._on_grid(values), self._samples, self._seed, key, keep_paths=True)
+        self._jacobian = self._field.jacobian(walked, self._jacobian, _rate(len(self._walked)))
+        self._walked.append((key, values.astype(np.float32)))
+        return walked
 
     def _cost(self, halves: np.ndarray) -> tuple[float, float]:
         variance = (halves[:, 0] - halves[:, 1]) ** 2 / 2
@@ -147,8 +165,10 @@ class GaussNewton:
         value, gradient = self._prior.value_and_gradient(extinction, self._prior_weight, self._unit)
         return value, gradient.get()[self._mask].astype(float)
 
-    def _step(self, jacobian: np.ndarray, where: str) -> None:
+    def _step(self, where: str) -> None:
         """Minimises the model: residuals and their derivatives, the prior, and a damping of the step."""
+        jacobian = self._jacobian
+        assert jacobian is not None
         start, residual, image = self._extinction, self._image - self._measured, self._image.copy()
         curvature = np.zeros(len(start))
         block = max(1, (1 << 24) // len(start))
@@ -195,10 +215,13 @@ class GaussNewton:
         """All that an iteration changes, as arrays on the host."""
         names = ("extinction", "mean", "image", "variance", "lag", "prior_weight", "iterations")
         own = {name: np.array(getattr(self, f"_{name}")) for name in names}
-        return joined({"gauss_newton": own, "field": self._field.state()})
+        keys, extinctions = zip(*self._walked) if self._walked else ((), ())
+        walked: dict[str, np.ndarray] = {"keys": np.array(keys, np.int64), "extinctions": np.array(extinctions, np.float32)}
+        return joined({"gauss_newton": own, "walked": walked})
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Goes on from what `state` gave."""
+        """Goes on from what `state` gave. The derivatives are too many to be kept: their paths are walked again."""
         for name, array in part(state, "gauss_newton").items():
             setattr(self, f"_{name}", array.item() if array.ndim == 0 else array.copy())
-        self._field.restore(part(state, "field"))
+        walked = part(state, "walked")
+        self._walked = [(int(key), values) for key, values in zip(walked["keys"], walked["extinctions"])]

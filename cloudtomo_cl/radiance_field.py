@@ -134,14 +134,18 @@ class RadianceField:
         self._gradients += 1
         return self._walk(rendering, adjoint, change)
 
-    def jacobian(self, rendering: Rendering) -> np.ndarray:
+    def jacobian(self, rendering: Rendering, mean: np.ndarray | None = None, rate: float = 1.0) -> np.ndarray:
         """The derivatives of all pixels with respect to all voxels of the mask.
+
+        Parameters
+        ----------
+        mean : of earlier derivatives; it is changed into mean + rate (new ones - mean), in place
 
         Returns
         -------
-        float32, W m^-2 sr^-1 km, shape (pixels, voxels of the mask); the voxels in the order of
-        `extinction[mask]`. What a path does after its first flight is shared by the pixels beside
-        each other in an image. For the rendering's paths and the table see `gradient`.
+        `mean`, or a new array without one: float32, W m^-2 sr^-1 km, shape (pixels, voxels of the mask);
+        the voxels in the order of `extinction[mask]`. What a path does after its first flight is shared by the
+        pixels beside each other in an image. For the rendering's paths and the table see `gradient`.
 
         Raises
         ------
@@ -156,9 +160,13 @@ class RadianceField:
         self._refresh(rendering)
         self._gradients += 1
         kernel = operator.device.kernel("jacobian", "jacobian_rows", self._features)
-        first, later = (np.empty((pixels, self.columns), np.float32) for _ in range(2))
+        if mean is None:
+            mean, rate = np.zeros((pixels, self.columns), np.float32), 1.0
+        else:
+            mean *= np.float32(1 - rate)
+        later = np.empty_like(mean)
         block = max(1, _BLOCK // self.columns)
-        unit = np.float32(operator.scene.sun.irradiance / rendering.samples)
+        unit = np.float32(operator.scene.sun.irradiance / rendering.samples * rate)
         for start in range(0, pixels, block):
             count = min(block, pixels - start)
             rows = [self._array.zeros(operator.device.queue, (count, self.columns), np.float32) for _ in range(2)]
@@ -167,13 +175,14 @@ class RadianceField:
                     kernel, count, self._column, self._scattered.data, self._sunlight.data, self._field.data,
                     np.uint32(start), np.uint32(count), np.uint32(self.columns), rows[0].data, rows[1].data,
                 )  # fmt: skip
-            for whole, part in zip((first, later), rows):
-                np.multiply(part.get(), unit, out=whole[start : start + count])
+            here = slice(start, start + count)
+            mean[here] += rows[0].get() * unit
+            np.multiply(rows[1].get(), unit, out=later[here])
         pool = neighbours(operator.views, operator.pixels)
         # In blocks of columns, for the sake of memory.
         for start in range(0, self.columns, _COLUMNS):
-            first[:, start : start + _COLUMNS] += pool @ later[:, start : start + _COLUMNS]
-        return first
+            mean[:, start : start + _COLUMNS] += pool @ later[:, start : start + _COLUMNS]
+        return mean
 
     def state(self) -> dict[str, np.ndarray]:
         """All that a gradient changes, as arrays on the host."""

@@ -257,8 +257,8 @@ def test_a_derivative_that_is_no_number_is_not_passed_over(problem, device, monk
     """A minimiser that meets NaN may return where it began."""
     original = RadianceField.jacobian
 
-    def spoilt(self, rendering):
-        values = original(self, rendering)
+    def spoilt(self, *arguments):
+        values = original(self, *arguments)
         values[0, 0] = np.nan
         return values
 
