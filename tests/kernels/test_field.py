@@ -163,6 +163,17 @@ def test_the_jacobian_does_not_depend_on_how_launches_are_cut(device, monkeypatc
     np.testing.assert_array_equal(*found)
 
 
+def test_derivatives_are_averaged_into_earlier_ones(device):
+    """mean + rate (new - mean), to the rounding of float32."""
+    operator = RadianceOperator(SCENES["air, periodic"], VIEWS, device, mask=np.ones(GRID.shape, bool))
+    renderings = [operator.render(extinction(), 20, 3, iteration, keep_paths=True) for iteration in (1, 2)]
+    apart, together = RadianceField(operator), RadianceField(operator)
+    first, second = (apart.jacobian(rendering) for rendering in renderings)
+    mean = together.jacobian(renderings[0])
+    assert together.jacobian(renderings[1], mean, 0.25) is mean
+    np.testing.assert_allclose(mean, first + 0.25 * (second - first), rtol=1e-5, atol=1e-5 * np.abs(first).max())
+
+
 def test_neighbours_are_the_pixels_that_touch():
     """A corner of an image has 3 of them, an edge 5, a place inside 8; pixels that are not listed are none."""
     views = [OrthographicView(width=1.0, pixels=(4, 3), zenith=0, azimuth=0)] * 2
