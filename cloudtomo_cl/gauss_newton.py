@@ -216,7 +216,8 @@ class GaussNewton:
         names = ("extinction", "mean", "image", "variance", "lag", "prior_weight", "iterations")
         own = {name: np.array(getattr(self, f"_{name}")) for name in names}
         keys, extinctions = zip(*self._walked) if self._walked else ((), ())
-        walked: dict[str, np.ndarray] = {"keys": np.array(keys, np.int64), "extinctions": np.array(extinctions, np.float32)}
+        walked: dict[str, np.ndarray] = {"keys": np.array(keys, np.int64)}
+        walked["extinctions"] = np.array(extinctions, np.float32)
         return joined({"gauss_newton": own, "walked": walked})
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
