@@ -23,6 +23,7 @@ from .io import (
 from .measurements import Measurements
 from .metrics import delta, epsilon
 from .mie import droplet_table
+from .noise import Noise
 from .optimizer import Optimizer
 from .phase import DoubleHenyeyGreenstein, HenyeyGreenstein, TabulatedPhaseFunction
 from .phase_files import read_droplet_table, read_phase_function, write_phase_function
@@ -52,6 +53,7 @@ __all__ = [
     "HenyeyGreenstein",
     "MISR_ANGLES",
     "Measurements",
+    "Noise",
     "Optimizer",
     "OrthographicView",
     "PerspectiveView",

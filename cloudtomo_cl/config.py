@@ -30,6 +30,7 @@ from pydantic.dataclasses import dataclass
 from cloudtomo_cl.errors import SettingsError
 from cloudtomo_cl.formations import RingOfViews, StringOfScans, StringOfViews
 from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.noise import Noise
 from cloudtomo_cl.optimizer import Optimizer
 from cloudtomo_cl.overrides import with_overrides
 from cloudtomo_cl.phase import HenyeyGreenstein, PhaseFunction
@@ -179,6 +180,7 @@ class RenderSettings(BaseModel):
     air: Air | None = None
     surface: Surface = Surface()
     boundary: Boundary = Boundary()
+    noise: Noise | None = None
 
     def scene(self, grid: Grid) -> Scene:
         """The scene, on the grid of the cloud's file."""
@@ -186,7 +188,7 @@ class RenderSettings(BaseModel):
 
 
 class FluxSettings(RenderSettings):
-    """A scene file as `cloudtomo flux` reads it: its views, if there are any, mean nothing."""
+    """A scene file as `cloudtomo flux` reads it: its views and their noise, if there are any, mean nothing."""
 
     view: ViewTables | None = None  # type: ignore[assignment]
 
@@ -244,6 +246,20 @@ def scene_of_tables(path: Path, tables: dict[str, Any]) -> Scene:
     except ValidationError as error:
         lines = _lines(error, tables, TypeAdapter(Scene).json_schema())
         raise SettingsError(_text(str(path), lines)) from None
+
+
+def noise_of_table(path: Path, table: Any) -> Noise:
+    """The noise that a file of images keeps, as `stored_noise` made it. SettingsError if it is none."""
+    try:
+        return TypeAdapter(Noise).validate_python(table)
+    except ValidationError as error:
+        lines = _lines(error, {"noise": table}, TypeAdapter(Noise).json_schema())
+        raise SettingsError(_text(str(path), [f"noise: {line}" for line in lines])) from None
+
+
+def stored_noise(noise: Noise) -> dict[str, Any]:
+    """Noise in the types of JSON: what a measurements file keeps of it."""
+    return TypeAdapter(Noise).dump_python(noise, mode="json")
 
 
 def stored_scene(scene: Scene) -> dict[str, Any]:

@@ -56,6 +56,13 @@ irradiance = 1.0                  # W m^-2, on a plane normal to the beam
 [surface]
 albedo = 0.05                     # Lambertian; the open sea is about this dark
 
+# The images' own noise is that of the paths. This adds a camera's: photons, reading, digits, calibration.
+# [noise]
+# full_well = 20000               # electrons of a full pixel; or signal_to_noise
+# read_noise = 10.0               # electrons
+# bits = 12
+# calibration_error = 0.02        # of each view's gain
+
 # One table [[view]] for each image, or for each group of images. This one is a camera above the cloud and eight
 # around it, which look at it {zenith:g} degrees off the vertical.
 [[view]]

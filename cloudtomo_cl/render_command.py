@@ -37,7 +37,7 @@ def render(
     """Renders a scene file, or images again, into a file of measurements."""
     from cloudtomo_cl import progress
     from cloudtomo_cl.adaptive import relative_error, render_to_error
-    from cloudtomo_cl.config import stored_scene
+    from cloudtomo_cl.config import noise_of_table, stored_noise, stored_scene
     from cloudtomo_cl.io import write_measurements
     from cloudtomo_cl.transport import RadianceOperator
 
@@ -52,6 +52,7 @@ def render(
         # Images that are rendered again tell how they were.
         samples, target_error = made.get("samples"), made.get("target_error")
     seed = made.get("seed", 0) if seed is None else seed
+    noise = None if made.get("noise") is None else noise_of_table(scene, made["noise"])
     # Images of a recovered cloud have random numbers of their own.
     iteration = made.get("iteration", 0)
     chosen = choose_device(device)
@@ -72,6 +73,9 @@ def render(
         how = {"target_error": target_error} | ({} if samples is None else {"samples": samples})
     seconds = time.perf_counter() - start
     measurements = Measurements.rendered(operator, rendering)
+    if noise is not None:
+        measurements = noise.added_to(measurements, seed)
+        how["noise"] = stored_noise(noise)
     photons = rendering.audit.launched
     write_measurements(
         output,
@@ -86,13 +90,18 @@ def render(
         {"scene": stored_scene(described), "cloud_file": made["cloud_file"], **how, "seed": seed},
         (described.grid, extinction, radius),
     )
-    noise = relative_error(operator, rendering)
+    relative = relative_error(operator, rendering)
     for index, (image, error) in enumerate(zip(measurements.images, measurements.standard_errors)):
         # Pixels have random numbers of their own: their variances add.
-        mean_error = np.sqrt((error**2).sum()) / image.size
-        line = f"view {index}: mean radiance {progress.with_error(image.mean(), mean_error)} W m^-2 sr^-1"
-        console.print(f"{line}, pixel noise {noise[index]:.2%}", highlight=False, soft_wrap=True)
-    if target_error is not None and noise.max() > target_error:
+        valid = ~np.isnan(image)
+        mean_error = np.sqrt((error[valid] ** 2).sum()) / valid.sum()
+        line = f"view {index}: mean radiance {progress.with_error(image[valid].mean(), mean_error)} W m^-2 sr^-1"
+        line += f", pixel noise {relative[index]:.2%}"
+        if noise is not None:
+            line += f", with the camera's {np.sqrt(np.mean(error[valid] ** 2)) / image[valid].mean():.2%}"
+            line += f", {(~valid).sum()} saturated" if not valid.all() else ""
+        console.print(line, highlight=False, soft_wrap=True)
+    if target_error is not None and relative.max() > target_error:
         console.print(f"the target of {target_error:.2%} needs more than {samples} photons per pixel", soft_wrap=True)
     console.print(f"{photons:.3g} photons in {progress.duration(seconds)} on {chosen.name}: {output}", soft_wrap=True)
     if png is not None:
@@ -119,7 +128,7 @@ def _to_render(
             views(settings.view),
             extinction,
             read_effective_radius(file),
-            {"cloud_file": file.name},
+            {"cloud_file": file.name, "noise": settings.noise},
         )
     described, extinction, radius, stored = kept_scene(path, overrides)
     return described, read_measurements(path).views, extinction, radius, stored

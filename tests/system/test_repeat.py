@@ -14,6 +14,11 @@ file = "cloud.nc"
 phase_function = { type = "henyey-greenstein", g = 0.5 }
 [sun]
 zenith = 30.0
+[noise]
+full_well = 20000
+read_noise = 10.0
+bits = 10
+calibration_error = 0.02
 [[view]]
 type = "ring"
 target = [0.3, 0.3, 0.3]
@@ -60,6 +65,15 @@ def test_images_are_rendered_again_bit_by_bit(outputs, tmp_path):
     with xr.open_dataset(outputs / "images.nc") as first, xr.open_dataset(again) as second:
         assert np.array_equal(first.radiance, second.radiance, equal_nan=True)
         assert first.attrs["settings"].split("cloud_file")[0] == second.attrs["settings"].split("cloud_file")[0]
+
+
+def test_a_scenes_noise_is_in_its_images(outputs):
+    """Radiances are whole digital numbers, of 1.25 times the brightest pixel in 1024 steps."""
+    with xr.open_dataset(outputs / "images.nc") as images:
+        np.testing.assert_array_equal(images.calibration_error, [0.02] * 4)
+        levels = np.unique(images.radiance.values)
+    steps = np.diff(levels) / np.diff(levels).min()
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
 
 
 def test_a_reconstruction_is_done_again_bit_by_bit(outputs, tmp_path):
