@@ -33,7 +33,8 @@ STRUCTS: dict[str, np.dtype] = {
             ("surface_albedo", np.float32),
             ("side_flights", np.int32),  # 0: the plain local estimate
             ("truncation", np.float32),  # largest local estimate, sr^-1
-            ("skips_clear", np.int32),  # whether walks skip voxels that hold nothing
+            ("skips_clear", np.int32),  # whether walks skip blocks that hold nothing
+            ("clear_shift", np.int32),  # those have 2^clear_shift voxels along each axis
         ]
     ),
     "View": np.dtype(
@@ -100,7 +101,11 @@ def declarations(device: Any) -> str:
 
 
 def scene_struct(
-    scene: Scene, side_flights: bool = False, truncation: float = np.inf, skips_clear: bool = False
+    scene: Scene,
+    side_flights: bool = False,
+    truncation: float = np.inf,
+    skips_clear: bool = False,
+    clear_shift: int = 0,
 ) -> np.ndarray:
     """The kernels' Scene, shape (); truncation in sr^-1."""
     struct = np.zeros((), STRUCTS["Scene"])
@@ -127,6 +132,7 @@ def scene_struct(
     struct["side_flights"] = side_flights
     struct["truncation"] = truncation
     struct["skips_clear"] = skips_clear
+    struct["clear_shift"] = clear_shift
     return struct
 
 

@@ -13,7 +13,10 @@ from cloudtomo_cl.layout import scene_struct
 from cloudtomo_cl.phase import TabulatedPhaseFunction
 from cloudtomo_cl.scene import Scene
 
-# Copies of a periodic domain that are looked at beside it, in voxels; the most a walk skips.
+# Blocks along an axis, at most, of those that walks skip where they are clear: their table stays in a
+# processor's second-level cache.
+_MOST_BLOCKS = 64
+# Copies of a periodic domain that are looked at beside it, in blocks; the most a walk skips.
 _PERIODIC_MARGIN = 32
 _LARGEST_SKIP = 255
 # Optical depth across a voxel's shortest edge; the densest clouds have some 10.
@@ -79,7 +82,8 @@ class Medium:
         # Molecules are everywhere: nothing can be skipped.
         self._has_air = scene.air is not None and bool(np.any(scene.air.profile(scene.grid)))
         self._structs = {
-            skips: device.constant(scene_struct(scene, side_flights, truncation, skips)) for skips in (False, True)
+            skips: device.constant(scene_struct(scene, side_flights, truncation, skips, clear_shift(scene)))
+            for skips in (False, True)
         }
         self._profiles = device.constant(profiles(scene))
         self._table_row = device.constant(table_rows(scene, effective_radius))
@@ -95,7 +99,8 @@ class Medium:
         )
 
     def _clear(self, occupied: np.ndarray) -> Any:
-        return self.device.constant(clear_distances(occupied, self.scene.boundary.horizontal == "periodic"))
+        blocks = occupied_blocks(occupied, clear_shift(self.scene))
+        return self.device.constant(clear_distances(blocks, self.scene.boundary.horizontal == "periodic"))
 
     def field(self, extinction: Any, skips_clear: bool) -> Field:
         """Puts an extinction on the device.
@@ -131,15 +136,31 @@ class Medium:
         )
 
 
+def clear_shift(scene: Scene) -> int:
+    """Walks skip blocks of 2^clear_shift voxels along each axis; a periodic domain's ends with a whole one."""
+    shape, shift = scene.grid.shape, 0
+    periodic = scene.boundary.horizontal == "periodic"
+    while max(shape) > _MOST_BLOCKS << shift and not (periodic and (shape[0] | shape[1]) & 1 << shift):
+        shift += 1
+    return shift
+
+
+def occupied_blocks(occupied: np.ndarray, shift: int) -> np.ndarray:
+    """Which blocks of 2^shift voxels along each axis hold an occupied one; those at the ends may be smaller."""
+    for axis in range(occupied.ndim):
+        occupied = np.logical_or.reduceat(occupied, np.arange(0, occupied.shape[axis], 1 << shift), axis)
+    return occupied
+
+
 def clear_distances(occupied: np.ndarray, periodic: bool) -> np.ndarray:
-    """How far from every voxel the nearest occupied one is, in voxels along the axis where it is most.
+    """How far from every block the nearest occupied one is, in blocks along the axis where it is most.
 
     Parameters
     ----------
-    occupied : bool, shape of the grid
+    occupied : bool, shape (blocks along x, y, z)
     periodic : whether the domain is repeated horizontally
 
-    Returns uint8, shape of the grid: 0 where occupied, 1 beside it, at most 255.
+    Returns uint8, same shape: 0 where occupied, 1 beside it, at most 255.
     """
     from scipy.ndimage import distance_transform_cdt
 

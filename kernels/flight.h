@@ -74,6 +74,7 @@ static Flight fly(const Medium *medium, Ray *ray, float reach, Carried carried, 
 {
     const __constant Scene *scene = medium->scene;
     Flight flight = {false, false, false, 0.0f, 0.0f, 0.0f, -1};
+    bool beside_clear = false; /* skipping may begin here: the voxel before, or what is around the grid, is clear */
     if (!ray->inside) {
         Ray entered = *ray;
         float distance;
@@ -85,36 +86,39 @@ static Flight fly(const Medium *medium, Ray *ray, float reach, Carried carried, 
         if (!flight.met_grid)
             return flight;
         *ray = entered;
+        beside_clear = scene->skips_clear;
     }
     flight.met_grid = true;
     VoxelWalk walk = walk_begin(scene, ray);
     for (int crossing = 0; crossing < CROSSINGS_LIMIT; ++crossing) {
         count_crossing(record);
-        const float exit = walk_exit(&walk);
-        const float length = exit - walk.distance;
-        const float droplets = medium->extinction[walk.index];
-        const float air = medium->air[walk_layer(scene, &walk)];
-        const float extinction = droplets + air;
-        const float depth = flight.depth + extinction * length;
-        if (depth >= reach) {
-            const float part = lesser((reach - flight.depth) / extinction, length);
-            deposit_crossing(record, walk.index, part, carried);
-            move_to_walk(scene, ray, &walk, walk.distance + part);
-            flight.collided = true;
-            flight.depth = reach;
-            flight.droplets = droplets;
-            flight.air = air;
-            flight.index = walk.index;
-            return flight;
-        }
-        deposit_crossing(record, walk.index, length, carried);
-        flight.depth = depth;
         bool goes_on;
-        const int clear = extinction == 0.0f && scene->skips_clear ? medium->clear[walk.index] : 0;
-        if (clear > 1)
+        const int clear = beside_clear ? medium->clear[clear_block(scene, &walk)] : 0;
+        if (clear > (scene->clear_shift == 0)) {
             goes_on = walk_skip(scene, &walk, clear);
-        else
+        } else {
+            const float exit = walk_exit(&walk);
+            const float length = exit - walk.distance;
+            const float droplets = medium->extinction[walk.index];
+            const float air = medium->air[walk_layer(scene, &walk)];
+            const float extinction = droplets + air;
+            const float depth = flight.depth + extinction * length;
+            if (depth >= reach) {
+                const float part = lesser((reach - flight.depth) / extinction, length);
+                deposit_crossing(record, walk.index, part, carried);
+                move_to_walk(scene, ray, &walk, walk.distance + part);
+                flight.collided = true;
+                flight.depth = reach;
+                flight.droplets = droplets;
+                flight.air = air;
+                flight.index = walk.index;
+                return flight;
+            }
+            deposit_crossing(record, walk.index, length, carried);
+            flight.depth = depth;
+            beside_clear = extinction == 0.0f && scene->skips_clear;
             goes_on = walk_advance(scene, &walk, exit);
+        }
         if (!goes_on) {
             ray->position += walk.distance * ray->direction / grid_spacing(scene);
             ray->inside = false;

@@ -128,16 +128,19 @@ inline VoxelWalk walk_begin(const __constant Scene *scene, const Ray *ray)
     return walk;
 }
 
+/* The walk's voxel along an axis: it has `ahead` more before it. */
+inline int voxel_of(int ahead, int stride, int count) { return stride > 0 ? count - 1 - ahead : ahead; }
+
 /* The voxel's number along z. */
 inline int walk_layer(const __constant Scene *scene, const VoxelWalk *walk)
 {
-    return walk->stride_z > 0 ? scene->shape[2] - 1 - walk->ahead_z : walk->ahead_z;
+    return voxel_of(walk->ahead_z, walk->stride_z, scene->shape[2]);
 }
 
 inline int3 walk_voxel(const __constant Scene *scene, const VoxelWalk *walk)
 {
-    return (int3)(walk->stride_x > 0 ? scene->shape[0] - 1 - walk->ahead_x : walk->ahead_x,
-                  walk->stride_y > 0 ? scene->shape[1] - 1 - walk->ahead_y : walk->ahead_y, walk_layer(scene, walk));
+    return (int3)(voxel_of(walk->ahead_x, walk->stride_x, scene->shape[0]),
+                  voxel_of(walk->ahead_y, walk->stride_y, scene->shape[1]), walk_layer(scene, walk));
 }
 
 /* km from the ray's start to where it leaves the current voxel. */
@@ -193,18 +196,41 @@ inline void skip_axis(float exit, float per_voxel, int stride, int most, float *
     *index += crossed * stride;
 }
 
-/* From a voxel with nothing within `clear` voxels of it (itself included, along every axis) to where
+/* Which block of 2^clear_shift voxels along each axis the walk is in, as an index. */
+inline int clear_block(const __constant Scene *scene, const VoxelWalk *walk)
+{
+    const int shift = scene->clear_shift;
+    if (shift == 0)
+        return walk->index;
+    const int x = voxel_of(walk->ahead_x, walk->stride_x, scene->shape[0]) >> shift;
+    const int y = voxel_of(walk->ahead_y, walk->stride_y, scene->shape[1]) >> shift;
+    const int z = voxel_of(walk->ahead_z, walk->stride_z, scene->shape[2]) >> shift;
+    return (x * (((scene->shape[1] - 1) >> shift) + 1) + y) * (((scene->shape[2] - 1) >> shift) + 1) + z;
+}
+
+/* Voxels along an axis from the walk's to the last of so many blocks, its own the first of them. */
+inline int clear_side(const __constant Scene *scene, int ahead, int stride, int count, int blocks)
+{
+    const int last = (1 << scene->clear_shift) - 1;
+    return ((blocks - 1) << scene->clear_shift) + ((voxel_of(ahead, stride, count) & last) ^ (stride > 0 ? last : 0));
+}
+
+/* From a block with nothing within `clear` blocks of it (itself included, along every axis) to where
  * the ray leaves that cube, or the domain: false then. */
 inline bool walk_skip(const __constant Scene *scene, VoxelWalk *walk, int clear)
 {
     const bool periodic = scene->periodic;
-    const float side = (float)(clear - 1);
-    const float beyond = lesser(walk->next_z + side * walk->per_voxel_z,
-                                lesser(walk->next_x + side * walk->per_voxel_x, walk->next_y + side * walk->per_voxel_y));
+    const int side_x = clear_side(scene, walk->ahead_x, walk->stride_x, scene->shape[0], clear);
+    const int side_y = clear_side(scene, walk->ahead_y, walk->stride_y, scene->shape[1], clear);
+    const int side_z = clear_side(scene, walk->ahead_z, walk->stride_z, scene->shape[2], clear);
     /* A ray along an axis never meets the others' faces: no 0 * infinity. */
-    const float leave_x = periodic || walk->next_x == INFINITY ? INFINITY : walk->next_x + (float)walk->ahead_x * walk->per_voxel_x;
-    const float leave_y = periodic || walk->next_y == INFINITY ? INFINITY : walk->next_y + (float)walk->ahead_y * walk->per_voxel_y;
-    const float leave_z = walk->next_z == INFINITY ? INFINITY : walk->next_z + (float)walk->ahead_z * walk->per_voxel_z;
+    const bool meets_x = walk->next_x != INFINITY, meets_y = walk->next_y != INFINITY, meets_z = walk->next_z != INFINITY;
+    const float beyond = lesser(meets_z ? walk->next_z + (float)side_z * walk->per_voxel_z : INFINITY,
+                                lesser(meets_x ? walk->next_x + (float)side_x * walk->per_voxel_x : INFINITY,
+                                       meets_y ? walk->next_y + (float)side_y * walk->per_voxel_y : INFINITY));
+    const float leave_x = periodic || !meets_x ? INFINITY : walk->next_x + (float)walk->ahead_x * walk->per_voxel_x;
+    const float leave_y = periodic || !meets_y ? INFINITY : walk->next_y + (float)walk->ahead_y * walk->per_voxel_y;
+    const float leave_z = !meets_z ? INFINITY : walk->next_z + (float)walk->ahead_z * walk->per_voxel_z;
     const float leave_first = lesser(leave_z, lesser(leave_x, leave_y));
     const float exit = lesser(beyond, leave_first);
     walk->distance = exit;
@@ -215,7 +241,7 @@ inline bool walk_skip(const __constant Scene *scene, VoxelWalk *walk, int clear)
     }
     /* Rounding must not carry it out; across a periodic side it may go, and the host has seen to it that
      * `clear` is no more than the domain. */
-    const int most_x = periodic ? clear : walk->ahead_x, most_y = periodic ? clear : walk->ahead_y;
+    const int most_x = periodic ? side_x + 1 : walk->ahead_x, most_y = periodic ? side_y + 1 : walk->ahead_y;
     skip_axis(exit, walk->per_voxel_x, walk->stride_x, most_x, &walk->next_x, &walk->ahead_x, &walk->index);
     skip_axis(exit, walk->per_voxel_y, walk->stride_y, most_y, &walk->next_y, &walk->ahead_y, &walk->index);
     skip_axis(exit, walk->per_voxel_z, walk->stride_z, walk->ahead_z, &walk->next_z, &walk->ahead_z, &walk->index);

@@ -9,7 +9,7 @@ typedef struct {
     const __constant Scene *scene;
     const __global float *extinction; /* droplets, km^-1, [x][y][z] */
     const __global float *table_row;  /* per voxel, a row of the phase table or between two */
-    const __global uchar *clear;      /* per voxel: how many voxels around hold nothing, see walk_skip */
+    const __global uchar *clear;      /* per block: how many blocks around hold nothing, see walk_skip */
     const __global float *air;        /* molecules in the grid's layers, km^-1, [z] */
     const __global float *level;      /* faces of all layers of air, km above the grid's lowest, [layer] */
     const __global float *layer;      /* molecules in all layers of air, km^-1 */

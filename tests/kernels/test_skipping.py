@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scenes import ABOVE, CAMERA, PERIODIC, RAYS, kernel_paths, optics
 
+from cloudtomo_cl import medium
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.medium import clear_distances
+from cloudtomo_cl.medium import clear_distances, clear_shift, occupied_blocks
 from cloudtomo_cl.scene import Boundary, Scene, Sun, Surface
 from cloudtomo_cl.transport import RadianceOperator
 
@@ -38,6 +39,50 @@ def test_walks_through_a_clear_periodic_domain_wrap_once_at_most():
     assert clear_distances(np.zeros((2, 7, 40), bool), True).max() == 2
     assert clear_distances(np.zeros((40, 70, 5), bool), True).max() == 32
     assert clear_distances(np.zeros((2, 7, 40), bool), False).min() == 255
+
+
+def test_a_block_is_occupied_if_any_of_its_voxels_is():
+    occupied = np.zeros((5, 4, 3), bool)
+    occupied[4, 1, 2] = True  # the blocks at the ends are smaller
+    expected = np.zeros((3, 2, 2), bool)
+    expected[2, 0, 1] = True
+    np.testing.assert_array_equal(occupied_blocks(occupied, 1), expected)
+
+
+@pytest.mark.parametrize(
+    ("shape", "horizontal", "shift"),
+    [
+        ((64, 3, 64), "open", 0),
+        ((3, 65, 3), "open", 1),
+        ((512, 300, 7), "open", 3),
+        ((512, 256, 7), "periodic", 3),
+        ((512, 300, 7), "periodic", 2),
+        ((512, 255, 7), "periodic", 0),
+    ],
+)
+def test_large_grids_are_skipped_by_blocks_that_fill_a_periodic_domain(shape, horizontal, shift):
+    scene = Scene(Grid(shape=shape, spacing=(0.1, 0.1, 0.1)), Sun(zenith=0), boundary=Boundary(horizontal))
+    assert clear_shift(scene) == shift
+
+
+@pytest.mark.parametrize("horizontal", ["open", "periodic"])
+@pytest.mark.parametrize("zenith", [0, 65])
+def test_paths_are_the_same_with_and_without_blocks(device, random, monkeypatch, horizontal, zenith):
+    grid = Grid(shape=(24, 20, 21), spacing=(0.017, 0.02, 0.019), origin=(0.5, -0.2, 0.2))
+    scene = Scene(
+        grid, Sun(zenith=zenith, azimuth=70), optics(0.85), surface=Surface(0.3), boundary=Boundary(horizontal)
+    )
+    extinction = np.zeros(grid.shape, np.float32)
+    extinction[7:13, 9:14, 6:12] = random.uniform(5, 40, (6, 5, 6))
+    extinction[23, 0, 20] = 60
+    views = [ABOVE, CAMERA, RAYS]
+    walking = RadianceOperator(scene, views, device).render(extinction, 40, keep_paths=True)
+    monkeypatch.setattr(medium, "_MOST_BLOCKS", 6)
+    assert clear_shift(scene) == 2
+    skipping = RadianceOperator(scene, views, device, mask=extinction > 0).render(extinction, 40, keep_paths=True)
+    found, expected = kernel_paths(skipping), kernel_paths(walking)
+    assert (expected != 0).mean() > 0.3
+    assert np.mean(np.abs(found - expected) <= 1e-3 * expected) >= 0.99
 
 
 @pytest.mark.parametrize("horizontal", ["open", "periodic"])
