@@ -58,7 +58,7 @@ def gradient_over_forward(quick: bool) -> Iterator[Line]:
 def growth(quick: bool) -> Iterator[Line]:
     """The same 32^3 voxels of cloud on finer and finer grids, each in a process of its own."""
     sizes = (32, 64, 128, 256)
-    samples, repeats = (256, 3) if quick else (1024, 5)
+    samples, repeats = (256, 3) if quick else (512, 5)
     times: dict[int, list[float]] = {size: [] for size in sizes}
     peaks: dict[int, float] = {}
     for _ in range(repeats):
@@ -99,7 +99,7 @@ def grown(size: int, samples: int) -> dict[str, float]:
 def cores(quick: bool) -> Iterator[Line]:
     """Paths per second of the clock on all cores over those on one, in turn."""
     count = ct.choose_device().opencl.max_compute_units
-    samples, repeats = (64, 3) if quick else (512, 7)
+    samples, repeats = (64, 3) if quick else (384, 7)
     wall, cpu = [], []
     for _ in range(repeats):
         one = child("own", "rendered", samples, environment={"POCL_MAX_PTHREAD_COUNT": "1"})
@@ -130,7 +130,7 @@ def overhead(quick: bool) -> Iterator[Line]:
     result = [child("own", "reconstructed", iterations) for _ in range(repeats)]
     yield Line(
         "overhead", "host's work in an iteration, %", [100 * r["iteration"] for r in result], "5",
-        "of CPU time; 60,000 paths an iteration, default gradient",
+        "of CPU time; ADAM, 60,000 paths an iteration",
     )  # fmt: skip
     yield Line(
         "overhead", "stage transition, % of an iteration", [100 * r["transition"] for r in result], "5", "of CPU time"
@@ -154,7 +154,10 @@ def reconstructed(iterations: int) -> dict[str, float]:
 
     for _ in range(2):  # the first builds the kernels
         marks.clear()
-        ct.reconstruct(case.scene, measurements, stages, mask=case.extinction > 0, seed=2, callback=mark)
+        ct.reconstruct(
+            case.scene, measurements, stages, optimizer=ct.Optimizer(type="adam"), mask=case.extinction > 0, seed=2,
+            callback=mark,
+        )  # fmt: skip
     host = np.diff([thread for _, thread, _ in marks])
     everything = np.diff([total for _, _, total in marks])
     first = next(n for n, (stage, _, _) in enumerate(marks) if stage == 1) - 1

@@ -66,7 +66,7 @@ def followed_by_pmcxcl(photons: int, seed: int) -> dict[str, float]:
 def scattering_events(quick: bool) -> Iterator[Line]:
     """Photons over the whole upper face, straight down, black sides: the same physics on both sides, hence
     as many scatterings per photon; so the ratio of photons is that of scatterings."""
-    repeats, ours, theirs = (3, 300_000, 30_000) if quick else (7, 2_000_000, 200_000)
+    repeats, ours, theirs = (3, 300_000, 30_000) if quick else (5, 1_000_000, 100_000)
     times, absorbed = np.zeros((repeats, 2)), np.zeros((repeats, 2))
     for n in range(repeats):
         try:
