@@ -8,14 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from cloudtomo_cl.audit import combined
+from cloudtomo_cl.audit import Audit, combined
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.transport import RadianceOperator, Rendering, pooled
 
 # Paths per pixel of the pilot, which tells the noise and is then left out: images that share their
-# paths with the choice of how many there are would be biased (Kirk and Arvo 1991).
-_PILOT_SAMPLES = 32
+# paths with the choice of how many there are would be biased (Kirk and Arvo 1991). At first the least; then, if many
+# paths will be needed, this share of them, at most the largest number.
+_PILOT_LEAST, _PILOT_SHARE, _PILOT_MOST = 16, 0.05, 128
 _LEAST_SAMPLES = 16
+# Its noise is smoothed over so many pixels each way: less follows the pilot's own noise, more blurs the clouds' edges.
+_WINDOW = 5
 # A pixel's noise is taken for no smaller than this share of its view's: pilots miss rare bright paths.
 _LEAST_NOISE = 0.05
 # Numbers of paths are multiples of _LEAST_SAMPLES by powers of this: pixels alike go together.
@@ -46,7 +49,9 @@ def render_to_error(
     """Renders until every view's `relative_error` is at most a target, with as few paths as that takes.
 
     A pilot tells each pixel's noise; then pixels get paths in proportion to it, which is what
-    lowers the noise of the whole most (Neyman 1934). The pilot's own paths are left out.
+    lowers the noise of the whole most (Neyman 1934). The pilot's own paths are left out. What
+    paths cost is left aside: nearly all go into cloud, where one takes several times as long as
+    the average of an image with much clear air.
 
     Parameters
     ----------
@@ -67,14 +72,13 @@ def render_to_error(
     """
     if not target_error > 0:
         raise DataError(f"target_error is {target_error}: it must be above 0, for instance 0.01 for 1 %")
-    pilot = operator.render(extinction, _PILOT_SAMPLES, seed)
-    noise = _noise(operator, pilot)
-    wanted = _samples(operator, pilot, noise, target_error / _MARGIN)
+    pilot, audits = _pilot(operator, extinction, target_error / _MARGIN, seed, most_photons)
+    wanted = _samples(operator, pilot, target_error / _MARGIN)
     levels = np.ceil(np.log(np.maximum(wanted / _LEAST_SAMPLES, 1.0)) / np.log(_LEVEL) - 1e-9).astype(int)
     groups = [(level, np.flatnonzero(levels == level)) for level in np.unique(levels)]
     parts = [operator.of_pixels(operator.pixels[chosen]) for _, chosen in groups]
     done: list[Rendering | None] = [None] * len(groups)
-    audits, budget, factor = [pilot.audit], most_photons - pilot.audit.launched, 1.0
+    budget, factor = most_photons - sum(audit.launched for audit in audits), 1.0
     while True:
         planned = [2 * round(_LEAST_SAMPLES * _LEVEL**level * factor / 2) for level, _ in groups]
         photons = sum(count * len(chosen) for count, (_, chosen) in zip(planned, groups))
@@ -82,7 +86,7 @@ def render_to_error(
         total, finished = sum(count * len(chosen) for count, (_, chosen) in zip(planned, groups)), 0
         for index, (part, count) in enumerate(zip(parts, planned)):
             before = done[index]
-            first = _PILOT_SAMPLES + (0 if before is None else before.samples)
+            first = pilot.samples + (0 if before is None else before.samples)
             more = part.render(extinction, count, seed, first_sample=first)
             audits.append(more.audit)
             done[index] = more if before is None else pooled(before, more)
@@ -99,8 +103,22 @@ def render_to_error(
         factor = so_far * max(min(_MARGIN * missing**2, 4.0) - 1.0, 0.05)
 
 
+def _pilot(
+    operator: RadianceOperator, extinction: Any, target: float, seed: int, most_photons: float
+) -> tuple[Rendering, list[Audit]]:
+    """The first paths of every pixel, and what became of them."""
+    pilot = operator.render(extinction, _PILOT_LEAST, seed)
+    # How many paths a pixel will get, in the mean.
+    planned = min(_samples(operator, pilot, target).mean(), most_photons / len(operator.pixels))
+    more = 2 * int(min(_PILOT_SHARE * planned, _PILOT_MOST) / 2) - _PILOT_LEAST
+    if more <= 0:
+        return pilot, [pilot.audit]
+    second = operator.render(extinction, more, seed, first_sample=_PILOT_LEAST)
+    return pooled(pilot, second), [pilot.audit, second.audit]
+
+
 def _noise(operator: RadianceOperator, pilot: Rendering) -> np.ndarray:
-    """Standard deviation of a path by pixel, smoothed over 3 x 3 pixels, shape (pixels,)."""
+    """Standard deviation of a path by pixel, smoothed over _WINDOW x _WINDOW pixels, shape (pixels,)."""
     from scipy.ndimage import uniform_filter
 
     variance = pilot.standard_error**2 * pilot.samples
@@ -110,15 +128,16 @@ def _noise(operator: RadianceOperator, pilot: Rendering) -> np.ndarray:
         if not chosen.any():
             continue
         known = np.isfinite(image)
-        weight = uniform_filter(known.astype(float), 3, mode="constant")
-        mean = uniform_filter(np.where(known, image, 0.0), 3, mode="constant") / np.where(known, weight, 1.0)
+        weight = uniform_filter(known.astype(float), _WINDOW, mode="constant")
+        mean = uniform_filter(np.where(known, image, 0.0), _WINDOW, mode="constant") / np.where(known, weight, 1.0)
         least = _LEAST_NOISE**2 * variance[chosen].mean()
         smooth[chosen] = np.maximum(mean.ravel()[operator.pixels[chosen, 1]], least)
     return np.sqrt(smooth)
 
 
-def _samples(operator: RadianceOperator, pilot: Rendering, noise: np.ndarray, target: float) -> np.ndarray:
+def _samples(operator: RadianceOperator, pilot: Rendering, target: float) -> np.ndarray:
     """Paths by pixel, in proportion to the noise, that bring each view to the target."""
+    noise = _noise(operator, pilot)
     samples = np.zeros(len(noise))
     for index in range(len(operator.views)):
         chosen = operator.pixels[:, 0] == index
