@@ -284,7 +284,7 @@ class Contribution:
 
 def local_estimate(
     scene: Scene, extinction: np.ndarray, position: np.ndarray, weight: float, history: np.ndarray,
-    u_roulette: float | None,
+    u_roulette: float | None, truncation: float = np.inf,
 ) -> Contribution:
     """Sunlight at a collision (Eq. 4), with the gradient of Eqs. 13-18.
 
@@ -293,6 +293,7 @@ def local_estimate(
     weight : sr^-1, all but the transmittance to the sun
     history : d log(density of the path up to here) / d extinction, km, shape of the grid
     u_roulette : plays the roulette on what the estimate is worth; None: no roulette
+    truncation : sr^-1, what is cut to it no longer depends on the way to the sun
 
     The derivative of the density of a path and its transmittance to the sun is minus the
     lengths of all segments, plus 1 / extinction at every collision with a droplet.
@@ -304,13 +305,15 @@ def local_estimate(
     else:
         survives = worth > u_roulette * LOCAL_ESTIMATE_ROULETTE
         radiance = max(worth, LOCAL_ESTIMATE_ROULETTE) if survives else 0.0
+    if radiance >= truncation:
+        return Contribution(truncation, truncation * history)
     return Contribution(radiance, radiance * (history - way.lengths))
 
 
 def side_flights(
     scene: Scene, extinction: np.ndarray, effective_radius: np.ndarray | None, position: np.ndarray,
     before: np.ndarray, particle: Particle, weight: float, count: float, history: np.ndarray, number: int,
-    random: Iterator[np.ndarray],
+    random: Iterator[np.ndarray], truncation: float = np.inf,
 ) -> Iterator[Contribution]:
     """The next order's sunlight by `number` flights drawn around the sun (docs/sampling.md).
 
@@ -333,7 +336,7 @@ def side_flights(
         onward = history - flight.lengths
         if inverse:
             onward[flight.voxel] += inverse
-        yield local_estimate(scene, extinction, flight.position, estimate, onward, w_next[0])
+        yield local_estimate(scene, extinction, flight.position, estimate, onward, w_next[0], truncation)
 
 
 @dataclass(frozen=True)
@@ -410,6 +413,7 @@ def walk(
 def path(
     scene: Scene, extinction: np.ndarray, view: View, seed: int, iteration: int,
     view_index: int, pixel: int, sample: int, with_side_flights: bool, effective_radius: np.ndarray | None = None,
+    truncation: float = np.inf,
 ) -> list[Contribution]:
     """All contributions of one path; their sum is its radiance.
 
@@ -419,6 +423,7 @@ def path(
     view_index : the view's index among all views, one of the counters of the random numbers
     pixel : row * width + column
     effective_radius : micrometres, shape of the grid; by default the scene's
+    truncation : of every contribution, sr^-1
 
     Source: Eqs. 1-4, 12, 16; the random numbers are laid out as in docs/sampling.md.
     """
@@ -441,7 +446,9 @@ def path(
         # What a camera sees directly, and the ground, stay free of the roulette's noise.
         plays = with_side_flights and event.number > 1 and event.particle.kind != "surface"
         roulette = v[0] if plays else None
-        contributions.append(local_estimate(scene, extinction, event.position, towards_sun, event.history, roulette))
+        contributions.append(
+            local_estimate(scene, extinction, event.position, towards_sun, event.history, roulette, truncation)
+        )
         if with_side_flights and event.survivor > 0:
             count = SIDE_FLIGHT_RATE * event.survivor * henyey_greenstein(event.direction @ sun, wide_g)
             count = min(max(count, SIDE_FLIGHT_LEAST), SIDE_FLIGHT_MOST)
@@ -450,7 +457,7 @@ def path(
             contributions.extend(
                 side_flights(
                     scene, extinction, effective_radius, event.position, event.direction, event.particle,
-                    event.survivor, count, event.history, int(count + v[2]), random,
+                    event.survivor, count, event.history, int(count + v[2]), random, truncation,
                 )
             )
             density = scatter_density(scene, event.particle, event.direction, event.onward)

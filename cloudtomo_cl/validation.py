@@ -254,9 +254,8 @@ def landsat(files: Path) -> Experiment:
     )
     # Sixteen thousand columns share the photons. A path's radiance is 2.6 times as noisy as it is large: below
     # some 4e7 paths what is left of the r.m.s. difference after subtraction of the noise is noise, too.
-    return Experiment(
-        "I3RC Landsat cloud, exp 1", scene, extinction, quantities, I3RC_SOURCE, (3, 1), effort=4.0, radiance_effort=60.0
-    )
+    name = "I3RC Landsat cloud, exp 1"
+    return Experiment(name, scene, extinction, quantities, I3RC_SOURCE, (3, 1), effort=4.0, radiance_effort=60.0)
 
 
 def slabs() -> Iterator[Experiment]:

@@ -76,7 +76,7 @@ def main() -> None:
             total = float(np.sqrt((errors**2).sum())) / len(errors)
             ratio = plain / wanted
             print(
-                f"  {estimator:13s} mean {means.mean():.6f} +- {total:.6f}, 1 % in {wanted.mean():.2f} s of the processor,"
+                f"  {estimator:13s} mean {means.mean():.6f} +- {total:.6f}, 1 % in {wanted.mean():.2f} processor s,"
                 f" {plain.mean() / wanted.mean():.1f} times sooner than plain ({ratio.min():.1f} to {ratio.max():.1f})",
                 flush=True,
             )

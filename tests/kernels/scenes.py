@@ -82,13 +82,16 @@ def extinction_of(scene, seed=3):
     return values.astype(np.float32).astype(float)
 
 
-def reference_paths(scene, extinction, operator, samples, seed, iteration):
-    """Contributions of every path by the reference: a list of samples, of lists of pixels."""
+def reference_paths(scene, extinction, operator, samples, seed, iteration, **options):
+    """Contributions of every path by the reference: a list of samples, of lists of pixels.
+
+    options : effective_radius, truncation; those of the operator
+    """
     return [
         [
             reference.path(
                 scene, extinction, operator.views[view], seed, iteration, view, pixel, sample,
-                operator.estimator == "side-flights",
+                operator.estimator == "side-flights", **options,
             )
             for view, pixel in operator.pixels.astype(int)
         ]

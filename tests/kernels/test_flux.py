@@ -22,7 +22,7 @@ def is_bounded(scene):
 BOUNDED = {name: scene for name, scene in SCENES.items() if is_bounded(scene)}
 
 
-def reference_fluxes(scene, extinction, photons_per_pixel, seed):
+def reference_fluxes(scene, extinction, photons_per_pixel, seed, effective_radius=None):
     """Fluxes of the columns, for an irradiance of 1; [flux][x][y]."""
     view, area = sun_view_struct(scene)
     width, height = int(view["width"]), int(view["height"])
@@ -33,24 +33,34 @@ def reference_fluxes(scene, extinction, photons_per_pixel, seed):
             u = reference_random.uniforms(seed, 0, reference.SUN_VIEW, pixel, sample, 0)
             across, along = (pixel % width + u[0]) / width, (pixel // width + u[1]) / height
             start = origin[:3] + across * origin[3:6] + along * origin[6:9] + scene.grid.origin
-            for name, column, weight in reference.photon(scene, extinction, seed, start, pixel, sample):
+            left = reference.photon(scene, extinction, seed, start, pixel, sample, effective_radius)
+            for name, column, weight in left:
                 fluxes[name][column] += weight
     column_area = scene.grid.spacing[0] * scene.grid.spacing[1]
     scale = scene.sun.direction[2] * area / (width * height * photons_per_pixel) / column_area
     return {name: values * scale for name, values in fluxes.items()}
 
 
-@pytest.mark.parametrize("scene", BOUNDED.values(), ids=BOUNDED)
-def test_photons_end_where_the_reference_has_them(device, scene):
+def compare_with_reference(scene, device, effective_radius=None):
     # Rounding sends a photon in a hundred another way (see test_paths): of 32 photons a pixel of
     # the sun, so much of the whole light may be elsewhere.
     extinction = extinction_of(scene)
-    operator = FluxOperator(scene, device)
+    operator = FluxOperator(scene, device, effective_radius=effective_radius)
     found = operator.compute(extinction, 1, seed=5)
-    expected = reference_fluxes(scene, extinction, found.photons // operator._pixels, seed=5)
+    expected = reference_fluxes(scene, extinction, found.photons // operator._pixels, 5, effective_radius)
     for name in FLUXES:
         difference = np.abs(getattr(found, name).value - expected[name]).mean()
         assert difference <= 0.03 * found.incident, name
+
+
+@pytest.mark.parametrize("scene", BOUNDED.values(), ids=BOUNDED)
+def test_photons_end_where_the_reference_has_them(device, scene):
+    compare_with_reference(scene, device)
+
+
+def test_photons_among_droplets_of_a_radius_in_every_voxel(device, random):
+    radius = random.uniform(5.0, 20.0, GRID.shape).astype(np.float32).astype(float)
+    compare_with_reference(SCENES["phase table"], device, radius)
 
 
 @pytest.mark.parametrize("scene", BOUNDED.values(), ids=BOUNDED)

@@ -24,13 +24,11 @@ from cloudtomo_cl.transport import RadianceOperator
 SEED, ITERATION, SAMPLES = 8, 2, 8
 
 
-@pytest.mark.parametrize("estimator", ESTIMATORS)
-@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-def test_gradients_are_those_of_the_reference(device, random, scene, estimator):
+def compare_with_reference(scene, random, operator, **options):
+    """Radiances of the paths, and the gradient of a random combination of pixels."""
     extinction = extinction_of(scene)
-    operator = RadianceOperator(scene, [ABOVE, CAMERA], device, estimator=estimator)
     rendering = operator.render(extinction, SAMPLES, seed=SEED, iteration=ITERATION, keep_paths=True)
-    paths = reference_paths(scene, extinction, operator, SAMPLES, SEED, ITERATION)
+    paths = reference_paths(scene, extinction, operator, SAMPLES, SEED, ITERATION, **options)
     expected_radiance = radiances(paths)
     agree = np.abs(kernel_paths(rendering) - expected_radiance) <= 1e-3 * np.abs(expected_radiance)
     # A pixel's half that holds a path which rounding turned aside (test_paths.py) is left out.
@@ -45,6 +43,27 @@ def test_gradients_are_those_of_the_reference(device, random, scene, estimator):
     found = operator.gradient(rendering, adjoint).get()
     assert np.abs(expected).max() > 0
     np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
+def test_gradients_are_those_of_the_reference(device, random, scene, estimator):
+    compare_with_reference(scene, random, RadianceOperator(scene, [ABOVE, CAMERA], device, estimator=estimator))
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_droplets_of_a_radius_in_every_voxel_are_those_of_the_reference(device, random, estimator):
+    scene = SCENES["phase table"]
+    radius = random.uniform(5.0, 20.0, scene.grid.shape).astype(np.float32).astype(float)
+    operator = RadianceOperator(scene, [ABOVE, CAMERA], device, estimator=estimator, effective_radius=radius)
+    compare_with_reference(scene, random, operator, effective_radius=radius)
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_truncated_estimates_are_those_of_the_reference(device, random, estimator):
+    scene = SCENES["forward peak"]
+    operator = RadianceOperator(scene, [ABOVE, CAMERA], device, estimator=estimator, truncation=0.02)
+    compare_with_reference(scene, random, operator, truncation=0.02)
 
 
 def test_gradients_scale_with_the_suns_irradiance(device):
