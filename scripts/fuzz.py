@@ -315,12 +315,12 @@ class Bench:
         device, choose = choose_device(), commands.choose_device
         # Opened and built once: the cases are about what users give.
         commands.choose_device = lambda name=None: device if name is None else choose(name)
-        self.template = folder / "template"
-        if not self.template.exists():
-            self.prepare()
         # The images of a report are rendered with millions of paths, and its figures take seconds: the cases
         # of reports are those that make one, and few of them draw.
         commands._MODELLED_PATHS = 1000
+        self.template = folder / "template"
+        if not self.template.exists():
+            self.prepare()
         self.plots, self.draw = plots, plots.save_figures
         self.figures = commands.report
         self.commands = commands
@@ -338,7 +338,8 @@ class Bench:
         (self.template / "scene.toml").write_text(toml(SCENE))
         (self.template / "run.toml").write_text(toml(RUN))
         images = ["--samples", "16", "--quiet", "--output", "images.nc"]
-        for command in (["render", "scene.toml", *images], ["reconstruct", "run.toml", "--quiet", "--output", "old"]):
+        run = ["--no-report", "--quiet", "--output", "old"]
+        for command in ([*RENDER[:2], *images], [*RECONSTRUCT[:2], *run]):
             with _inside(self.template):
                 if self.main(command) != 0:
                     raise SystemExit("the inputs that the cases start from do not work")
@@ -435,7 +436,7 @@ def supervise(seed: int, first: int, cases: int, limit: float, folder: Path) -> 
             begun = False
             while True:
                 # The first case waits for the imports and the device.
-                ready, _, _ = select.select([process.stdout], [], [], limit if begun else 300)
+                ready, _, _ = select.select([process.stdout], [], [], limit if begun else 1500)
                 line = process.stdout.readline() if ready else None
                 if not line:
                     process.kill()
@@ -470,7 +471,7 @@ def main() -> int:
     parser.add_argument("--cases", type=int, default=2500)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=120.0, help="a case that takes longer hangs")
+    parser.add_argument("--seconds", type=float, default=300.0, help="a case that takes longer hangs")
     parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
