@@ -220,11 +220,13 @@ class RadianceField:
 
     def _refresh(self, rendering: Rendering) -> None:
         """Makes source and radiance anew from what paths have brought, at a rendering's extinction."""
+        import pyopencl
+
         self._table *= _FADING
         field = self._field.get()
         require_sums(field, "the radiance field", "voxel of the mask, direction and kind")
         self._table += field / np.float32(FIELD_UNIT)
-        self._field.fill(0)
+        pyopencl.enqueue_fill_buffer(self._field.queue, self._field.data, np.zeros(1, np.uint8), 0, self._field.nbytes)
         radiance = self._radiance()
         scattered = self._albedo * (radiance @ self._scattering.T) - radiance
         self._scattered.set(scattered.astype(np.float32))
