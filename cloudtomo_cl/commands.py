@@ -177,6 +177,7 @@ def reconstruct(
                 checkpoint_interval=settings.run.checkpoint_interval,
                 resume=resumed,
                 stop=stop,
+                uncertainty=settings.run.uncertainty,
             )
     except (DeviceError, DataError) as error:
         # Of the device, or of the disk: both may be in order tomorrow.
@@ -213,6 +214,7 @@ def reconstruct(
             "reconstruct": settings.model_dump(mode="json", exclude={"measurements", "truth"}),
             "seed": seed,
         },
+        result.standard_error,
     )
     if stop.signal_number is not None:
         status = exit_status(stop.signal_number)

@@ -162,11 +162,14 @@ class Run:
     seed : of the random numbers
     time_limit : s, over all resumes; no limit by default
     checkpoint_interval : s between checkpoints within a stage; more, where the disk is slow
+    uncertainty : draws that the standard error of the extinction is made of, at the end (Gauss-Newton only); 0: none.
+        They take about as long as an iteration or two, whatever the time limit
     """
 
     seed: Seed = 0
     time_limit: Positive | None = None
     checkpoint_interval: NotNegative = 60.0
+    uncertainty: Annotated[int, Field(ge=0, le=10_000)] = 24
 
 
 class RenderSettings(BaseModel):

@@ -14,6 +14,7 @@ from cloudtomo_cl.radiance_field import RadianceField
 from cloudtomo_cl.seen_pixels import SeenPixels
 from cloudtomo_cl.stages import Stage
 from cloudtomo_cl.transport import RadianceOperator, Rendering, pooled
+from cloudtomo_cl.uncertainty import standard_errors
 
 # Paths of an iteration that derivatives are made of, for each voxel of the mask, and the least of all.
 _PATHS_PER_VOXEL = 45
@@ -74,6 +75,7 @@ class GaussNewton:
         self._mask = mask
         self._seed = seed
         self._samples = stage.samples or samples_of(len(seen.pixels), int(mask.sum()))
+        self._seen = seen
         self._measured = seen.radiance
         self._weights = pixel_weights(seen.radiance, seen.standard_error)
         self._measured_noise = noise_of(seen.standard_error**2, self._weights)
@@ -116,10 +118,7 @@ class GaussNewton:
         """
         operator, samples = self._operator, self._samples
         extinction = self.extinction
-        if self._jacobian is None:  # after a resume
-            before, self._walked = self._walked, []
-            for earlier, values in before:
-                self._differentiate(earlier, values)
+        self._recall()
         walked = self._differentiate(key, self._extinction)
         rendering = walked
         if self._optimizer.image_samples:
@@ -131,6 +130,47 @@ class GaussNewton:
         self._step(where)
         self._mean += (self._extinction - self._mean) * _rate(self._iterations - 1)
         return Progress(cost, error, prior_value, rendering.samples * len(operator.pixels))
+
+    def _recall(self) -> None:
+        """After a resume: derivatives of the iterations before."""
+        if self._jacobian is None:
+            before, self._walked = self._walked, []
+            for earlier, values in before:
+                self._differentiate(earlier, values)
+
+    def standard_error(self, draws: int) -> np.ndarray | None:
+        """Of the estimate, by so many draws from the last linear model, km^-1, shape of the grid.
+
+        None if the images' noise is not known, or before the first iteration.
+        """
+        self._recall()
+        if self._jacobian is None or self._unit == 0:
+            return None
+        image, seen = self._image, self._seen
+        misfit = image - self._measured + self._jacobian @ (self._mean - self._extinction).astype(np.float32)
+        force = self._weights * self._gains(misfit, image)
+        gradient = force.astype(np.float32) @ self._jacobian + self._prior_at(self._mean)[1]
+        deviation = np.sqrt(seen.standard_error**2 + self._variance)
+        gains = np.array(seen.calibration_errors)
+
+        def noise(random: np.random.Generator) -> np.ndarray:
+            common = gains * random.standard_normal(len(gains))
+            return deviation * random.standard_normal(len(image)) + common[seen.pixels[:, 0]] * image
+
+        found = standard_errors(
+            self._jacobian,
+            self._weights,
+            noise,
+            lambda residual: self._gains(residual, image),
+            self._prior_weight * self._smoothness,
+            self._unit,
+            self._mask,
+            self._mean,
+            gradient,
+            draws,
+            self._seed,
+        )
+        return self._on_grid(found)
 
     def _differentiate(self, key: int, values: np.ndarray) -> Rendering:
         """Walks paths at an extinction, and averages their derivatives into those of iterations before."""

@@ -76,6 +76,8 @@ class Reconstruction:
     mask : bool, where extinction was sought
     history : one record per iteration
     stage_ends : seconds since the start of the run
+    standard_error : of the extinction, km^-1, float32, shape of the grid (docs/estimators.md says of what); none
+        if it was not asked for, or is not known
     """
 
     grid: Grid
@@ -83,6 +85,7 @@ class Reconstruction:
     mask: np.ndarray
     history: list[IterationRecord]
     stage_ends: list[float]
+    standard_error: np.ndarray | None = None
 
     def __repr__(self) -> str:
         text = f"{self.grid.text}, extinction up to {self.extinction.max():.4g} km^-1"
@@ -110,6 +113,7 @@ def reconstruct(
     checkpoint_interval: float = 60.0,
     resume: str | os.PathLike[str] | Checkpoint | None = None,
     stop: Callable[[], bool] | None = None,
+    uncertainty: int = 0,
 ) -> Reconstruction:
     """Recovers extinction from images.
 
@@ -129,6 +133,8 @@ def reconstruct(
     resume : a checkpoint of a run with the same arguments, to go on from. The result has the
         same bits as if the run had never been stopped, but for the history's seconds
     stop : asked after every iteration; True ends the run with what it has, checkpoint included
+    uncertainty : draws that the standard error is made of, at the end; 0: none. Known with Gauss-Newton,
+        when the last stage was reached, the images' noise is known, and nobody asked to stop
 
     Raises
     ------
@@ -156,14 +162,17 @@ def reconstruct(
     run = _Run(scene, stages, mask, truth, seed, time_limit, callback, stop, identity, device.name)
     run.checkpoints = Checkpoints(checkpoint, checkpoint_interval)
     extinction = np.full(stages[0].grid, optimizer.start)
+    error: np.ndarray | None = None
     first = 0
     if resume is not None:
         first = run.restore(resume if isinstance(resume, Checkpoint) else read_checkpoint(resume))
     for index in range(first, len(stages)):
-        extinction = run.descend(index, extinction, measurements, prior, optimizer, device)
+        draws = uncertainty if index == len(stages) - 1 else 0
+        extinction, error = run.descend(index, extinction, measurements, prior, optimizer, device, draws)
         if run.is_over:
             break
-    return Reconstruction(scene.grid, run.on_finest_grid(extinction), mask, run.history, run.stage_ends)
+    error = None if error is None else run.on_finest_grid(error)
+    return Reconstruction(scene.grid, run.on_finest_grid(extinction), mask, run.history, run.stage_ends, error)
 
 
 def _check_start(scene: Scene, stages: Sequence[Stage], optimizer: Optimizer) -> None:
@@ -259,8 +268,9 @@ class _Run:
         prior: Prior,
         optimizer: Optimizer,
         device: Device,
-    ) -> np.ndarray:
-        """One stage, from an extinction on any grid; returns that on the stage's own."""
+        draws: int,
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """One stage, from an extinction on any grid; returns that on the stage's own, and its standard error."""
         stage = self.stages[index]
         mask = coarsened(self.mask, stage.grid)
         scene = replace(self.scene, grid=self.scene.grid.with_shape(stage.grid))
@@ -307,7 +317,9 @@ class _Run:
         self.checkpoints.take(True, index, iteration, checkpoint)
         self.stage_ends.append(self.seconds)
         _LOGGER.info("stage %d of %d ended after %.1f s", index + 1, len(self.stages), self.seconds)
-        return method.estimate()
+        # Who asks to stop may not wait for it.
+        wanted = draws > 0 and not (self.stop is not None and self.stop())
+        return method.estimate(), method.standard_error(draws) if wanted else None
 
     def _check_step(self, index: int, iteration: int, extinction: np.ndarray, grid: Grid) -> None:
         """Stops a descent that runs away, before a render of it takes for ever."""

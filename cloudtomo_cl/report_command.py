@@ -11,6 +11,9 @@ import numpy as np
 from cloudtomo_cl.errors import DataError, SettingsError
 from cloudtomo_cl.grid import Grid
 
+# Extinction of voxels that hold cloud, km^-1.
+_CLOUD = 1.0
+
 
 def report(folder: Path, quiet: bool) -> None:
     """Makes figures/*.png, figures/*.pdf and report.html."""
@@ -40,11 +43,16 @@ def report(folder: Path, quiet: bool) -> None:
         print("drawing figures and report ...")
     figures = run_figures(grid, extinction, history, truth, measurements, modelled)
     paths = save_figures(run.figures, figures)
-    attributes = load_dataset(run.reconstruction_file).attrs
+    result = load_dataset(run.reconstruction_file)
+    attributes = result.attrs
+    numbers = _numbers(grid, extinction, truth, history, settings)
+    if "extinction_standard_error" in result and (extinction > _CLOUD).any():
+        error = np.median(result["extinction_standard_error"].values[extinction > _CLOUD])
+        numbers["typical standard error in cloud"] = f"{error:.3g} km⁻¹"
     page = report_page(
         f"Reconstruction {folder.resolve().name}",
         f"{attributes.get('source', source())}, {attributes.get('state', 'complete')}",
-        _numbers(grid, extinction, truth, history, settings),
+        numbers,
         grid,
         extinction,
         {path.stem: path.read_bytes() for path in paths if path.suffix == ".png"},

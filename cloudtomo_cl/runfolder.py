@@ -3,7 +3,8 @@
     settings.json        all settings, versions of the packages, device, seed
     history.csv          one line for each iteration, written as it goes
     checkpoint.npz       what a resumed run goes on from
-    reconstruction.nc    extinction(x, y, z) in km^-1 and the mask, and what repeats the run: images, views, settings
+    reconstruction.nc    extinction(x, y, z) in km^-1, its standard error and the mask, and what repeats the run:
+                         images, views, settings
     modelled.nc          images of the recovered cloud
     report.html
     figures/*.png
@@ -139,6 +140,7 @@ class RunFolder:
         attributes: Mapping[str, Any],
         measurements: Measurements | None = None,
         settings: Mapping[str, Any] | None = None,
+        standard_error: np.ndarray | None = None,
     ) -> None:
         """The result, with the measurements and settings that repeat it: whole, or not at all."""
         import netCDF4
@@ -159,6 +161,13 @@ class RunFolder:
                     variable.units = "1"
                     variable.long_name = "voxels that the recovery could fill: 1, others 0"
                     variable[:] = mask
+                    if standard_error is not None:
+                        name = "extinction_standard_error"
+                        variable = dataset.createVariable(name, "f4", ("x", "y", "z"), zlib=True)
+                        variable.units = "km-1"
+                        variable.long_name = "standard error of extinction, from noise and what smoothness leaves open"
+                        variable[:] = standard_error
+                        dataset["extinction"].ancillary_variables = name
             except RuntimeError as error:  # how the netCDF library says that a disk is full
                 raise OSError(str(error)) from None
 

@@ -62,6 +62,10 @@ class StochasticDescent:
         """The running mean of the extinction, km^-1, shape of the grid."""
         return self._descent.estimate()
 
+    def standard_error(self, draws: int) -> None:
+        """Not known: it takes the derivatives of all pixels."""
+        return None
+
     def iterate(self, key: int, where: str) -> Progress:
         """One step; `key` numbers its paths, `where` is for errors.
 

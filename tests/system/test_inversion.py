@@ -103,6 +103,52 @@ def test_known_calibration_errors_do_less_harm(problem, device):
     assert errors[1] < 0.95 * errors[0]
 
 
+def test_noisier_images_give_larger_standard_errors(problem, device):
+    scene, measurements, truth = problem
+    noise = ct.Noise(signal_to_noise=10)
+    stages = (ct.Stage(grid=(8, 8, 8), iterations=4),)
+    fine, noisy = (
+        recover((scene, images, truth), device, stages=stages, uncertainty=10).standard_error
+        for images in (measurements, noise.added_to(measurements))
+    )
+    assert (fine[truth == 0] == 0).all() and np.isfinite(fine).all()
+    assert np.sqrt(np.mean(noisy[truth > 0] ** 2)) > 1.3 * np.sqrt(np.mean(fine[truth > 0] ** 2)) > 0
+
+
+def test_standard_errors_are_the_scatter_over_images(problem, device):
+    """Of eight recoveries from images with other noise, pooled over the voxels that hold cloud: within a factor of
+    1.5 (the scatter of eight is known to 10 %, less where voxels vary together)."""
+    scene, _, truth = problem
+    views = problem[1].views
+    operator = ct.RadianceOperator(scene, views, device)
+    found, stated = [], []
+    for seed in range(8):
+        images = ct.Measurements.rendered(operator, operator.render(truth, 512, seed=20 + seed))
+        stages = (ct.Stage(grid=(8, 8, 8), iterations=5),)
+        result = recover((scene, images, truth), device, stages=stages, seed=seed, uncertainty=20)
+        found.append(result.extinction)
+        stated.append(result.standard_error)
+    scatter = np.sqrt(np.mean(np.var(found, axis=0, ddof=1)[truth > 0]))
+    error = np.sqrt(np.mean(np.square(stated)[:, truth > 0]))
+    print(f"scatter {scatter:.2f}, stated {error:.2f} km^-1")
+    assert 1 / 1.5 < scatter / error < 1.5
+
+
+@pytest.mark.parametrize("reason", ["unknown noise", "adam", "not asked for", "time limit"])
+def test_no_standard_error_is_made_up(problem, device, reason):
+    scene, measurements, truth = problem
+    options = {"uncertainty": 4, "stages": STAGES}
+    if reason == "unknown noise":
+        measurements = replace(measurements, standard_errors=tuple(0 * e for e in measurements.standard_errors))
+    elif reason == "adam":
+        options |= {"optimizer": ct.Optimizer(type="adam")}
+    elif reason == "not asked for":
+        options["uncertainty"] = 0
+    else:
+        options["time_limit"] = 1e-6
+    assert recover((scene, measurements, truth), device, **options).standard_error is None
+
+
 def test_an_empty_mask_is_refused(problem, device):
     with pytest.raises(DataError, match="mask is empty"):
         recover(problem, device, mask=np.zeros((8, 8, 8), bool))

@@ -85,6 +85,13 @@ def test_a_reconstruction_is_done_again_bit_by_bit(outputs, tmp_path):
         assert np.array_equal(first.extinction, second.extinction) and float(first.extinction.max()) > 0
 
 
+def test_a_reconstruction_says_how_sure_it_is(outputs):
+    with xr.open_dataset(outputs / "reconstruction.nc") as data:
+        error = data.extinction_standard_error
+        assert error.units == "km-1" and error.dims == ("x", "y", "z")
+        assert float(error.max()) > 0 and float(error.where(data.mask == 0).max()) == 0
+
+
 def test_a_scene_can_be_changed_on_the_way(outputs, tmp_path):
     again = tmp_path / "again.nc"
     words = ["--quiet", "--output", str(again), "--set", "sun.zenith=60", "--samples", "4"]

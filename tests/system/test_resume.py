@@ -61,11 +61,13 @@ def timeless(history):
 def test_every_checkpoint_leads_to_the_same_bits(problem, device, optimizer, monkeypatch):
     monkeypatch.setattr("cloudtomo_cl.checkpoint._LEAST_WORK", 0.0)
     taken = []
-    whole = recover(problem, device, optimizer=optimizer, checkpoint=taken.append, checkpoint_interval=0.0)
+    options = {"optimizer": optimizer, "uncertainty": 3}
+    whole = recover(problem, device, **options, checkpoint=taken.append, checkpoint_interval=0.0)
     assert len(taken) == 9
     for checkpoint in taken:
-        resumed = recover(problem, device, optimizer=optimizer, resume=checkpoint)
+        resumed = recover(problem, device, **options, resume=checkpoint)
         np.testing.assert_array_equal(resumed.extinction, whole.extinction)
+        np.testing.assert_array_equal(resumed.standard_error, whole.standard_error)
         assert timeless(resumed.history) == timeless(whole.history)
         assert len(resumed.stage_ends) == 2
 

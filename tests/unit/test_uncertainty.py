@@ -1,0 +1,89 @@
+"""Standard errors of linear problems, against the inverse of the model's second derivative."""
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+from cloudtomo_cl.reference_prior import smoothness_matrix
+from cloudtomo_cl.uncertainty import bounded_minimum, roughness, standard_errors
+
+SHAPE = (4, 3, 5)
+PIXELS = 90
+DRAWS = 2000
+# Of a root mean square over the draws, five standard errors: a significance of 6e-7 for each of some 50 voxels.
+BOUND = 5 / np.sqrt(2 * DRAWS)
+
+
+@pytest.fixture
+def problem(random):
+    mask = random.random(SHAPE) < 0.8
+    jacobian = random.normal(size=(PIXELS, mask.sum())).astype(np.float32)
+    weights, deviation = random.uniform(0.5, 2, PIXELS), random.uniform(0.1, 0.5, PIXELS)
+    matrix = smoothness_matrix(SHAPE)[:, mask.ravel()].toarray()
+    return mask, jacobian, weights, deviation, matrix
+
+
+def found(problem, smoothness, unit=0.3, correct=lambda residual: residual):
+    mask, jacobian, weights, deviation, _ = problem
+    return standard_errors(
+        jacobian, weights, lambda random: deviation * random.standard_normal(PIXELS), correct, smoothness, unit,
+        mask, np.full(mask.sum(), np.inf), np.zeros(mask.sum()), DRAWS, seed=1,
+    )  # fmt: skip
+
+
+def test_roughness_is_the_priors(random):
+    values = random.random(SHAPE)
+    expected = smoothness_matrix(SHAPE) @ values.ravel()
+    np.testing.assert_allclose(roughness(values).ravel(), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("smoothness", [0.0, 20.0])
+def test_errors_are_those_of_the_linear_model(problem, smoothness):
+    """Without the prior, those of weighted least squares, whatever the weights are; and by Bayes with it."""
+    mask, jacobian, weights, deviation, matrix = problem
+    data, prior = jacobian.T * weights, smoothness * matrix.T @ matrix
+    inverse = np.linalg.inv(data @ jacobian + prior)
+    middle = data * deviation**2 @ data.T + 0.3 * prior
+    expected = np.sqrt(np.diag(inverse @ middle @ inverse))
+    np.testing.assert_allclose(found(problem, smoothness), expected, rtol=BOUND + 0.01)
+
+
+def test_the_prior_alone_gives_errors_where_no_pixel_looks(problem):
+    mask, jacobian, weights, deviation, matrix = problem
+    jacobian[:, 0] = 0
+    errors = found(problem, 20.0)
+    assert np.isfinite(errors).all() and errors[0] > 1.2 * np.median(errors)
+
+
+def test_equal_seeds_give_equal_errors(problem):
+    np.testing.assert_array_equal(found(problem, 1.0), found(problem, 1.0))
+
+
+def test_what_is_corrected_away_tells_nothing(problem):
+    """With half of the pixels taken out, errors are larger."""
+    half = np.arange(PIXELS) % 2
+    assert np.mean(found(problem, 1.0, correct=lambda residual: residual * half)) > 1.3 * np.mean(found(problem, 1.0))
+
+
+def test_minima_respect_their_bounds(random):
+    """Against SciPy's bounded least squares: about half of the unknowns end on a bound."""
+    matrix, aim = random.normal(size=(60, 20)), random.normal(size=(60, 5))
+    lower = -random.uniform(0, 0.1, (20, 1))
+    second = matrix.T @ matrix
+    scale = 1 / np.diag(second)[:, None]
+    columns = bounded_minimum(lambda values: second @ values, matrix.T @ aim, scale, lower)
+    for column, right in zip(columns.T, aim.T):
+        expected = lsq_linear(matrix, right, bounds=(lower[:, 0], np.inf)).x
+        np.testing.assert_allclose(column, expected, atol=0.01 * np.abs(expected).max())
+    assert 0.2 < np.mean(columns == lower) < 0.8
+
+
+def test_voxels_pressed_against_zero_have_small_errors(problem):
+    mask, jacobian, weights, deviation, _ = problem
+    voxels = mask.sum()
+    pressed = np.arange(voxels) % 2 == 0
+    errors = standard_errors(
+        jacobian, weights, lambda random: deviation * random.standard_normal(PIXELS), lambda residual: residual, 1.0,
+        0.3, mask, np.where(pressed, 0.0, np.inf), np.where(pressed, 1e3, 0.0), 50, seed=1,
+    )  # fmt: skip
+    assert (errors[pressed] == 0).all() and (errors[~pressed] > 0).all()
