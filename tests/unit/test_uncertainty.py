@@ -9,7 +9,7 @@ from cloudtomo_cl.uncertainty import bounded_minimum, roughness, standard_errors
 
 SHAPE = (4, 3, 5)
 PIXELS = 90
-DRAWS = 2000
+DRAWS = 400
 # Of a root mean square over the draws, five standard errors: a significance of 6e-7 for each of some 50 voxels.
 BOUND = 5 / np.sqrt(2 * DRAWS)
 
@@ -23,11 +23,11 @@ def problem(random):
     return mask, jacobian, weights, deviation, matrix
 
 
-def found(problem, smoothness, unit=0.3, correct=lambda residual: residual):
+def found(problem, smoothness, draws=DRAWS, correct=lambda residual: residual):
     mask, jacobian, weights, deviation, _ = problem
     return standard_errors(
-        jacobian, weights, lambda random: deviation * random.standard_normal(PIXELS), correct, smoothness, unit,
-        mask, np.full(mask.sum(), np.inf), np.zeros(mask.sum()), DRAWS, seed=1,
+        jacobian, weights, lambda random: deviation * random.standard_normal(PIXELS), correct, smoothness, 0.3,
+        mask, np.full(mask.sum(), np.inf), np.zeros(mask.sum()), draws, seed=1,
     )  # fmt: skip
 
 
@@ -51,18 +51,19 @@ def test_errors_are_those_of_the_linear_model(problem, smoothness):
 def test_the_prior_alone_gives_errors_where_no_pixel_looks(problem):
     mask, jacobian, weights, deviation, matrix = problem
     jacobian[:, 0] = 0
-    errors = found(problem, 20.0)
+    errors = found(problem, 20.0, 100)
     assert np.isfinite(errors).all() and errors[0] > 1.2 * np.median(errors)
 
 
 def test_equal_seeds_give_equal_errors(problem):
-    np.testing.assert_array_equal(found(problem, 1.0), found(problem, 1.0))
+    np.testing.assert_array_equal(found(problem, 1.0, 5), found(problem, 1.0, 5))
 
 
 def test_what_is_corrected_away_tells_nothing(problem):
     """With half of the pixels taken out, errors are larger."""
     half = np.arange(PIXELS) % 2
-    assert np.mean(found(problem, 1.0, correct=lambda residual: residual * half)) > 1.3 * np.mean(found(problem, 1.0))
+    whole = np.mean(found(problem, 1.0, 50))
+    assert np.mean(found(problem, 1.0, 50, lambda residual: residual * half)) > 1.3 * whole
 
 
 def test_minima_respect_their_bounds(random):
