@@ -220,6 +220,9 @@ def reconstruct(
         status = exit_status(stop.signal_number)
         raise Interrupted(f"interrupted in {where}; what was reached is in {output}: {again}", status)
     console.print(f"{last.photons:.3g} photons in {duration(last.seconds)} on {chosen.name}: {state}", soft_wrap=True)
+    if not result.extinction.any():
+        console.print("the images leave no cloud: take less noisy ones, or give the prior less weight ([prior])")
+        return
     console.print("rendering the images of the recovered cloud ...", highlight=False)
     _write_modelled(folder, scene, measurements, result.extinction, chosen, seed, len(result.history) + 1)
     if with_report:

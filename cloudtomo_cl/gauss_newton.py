@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 
 from cloudtomo_cl.checkpoint import joined, part
 from cloudtomo_cl.method import Progress, check_gradient
-from cloudtomo_cl.objective import Gains, cost_of_independent, noise_of, pixel_weights
+from cloudtomo_cl.objective import Gains, cost_of_independent, noise_of, pixel_weights, variance_of
 from cloudtomo_cl.optimizer import Optimizer
 from cloudtomo_cl.prior import Prior, PriorOperator
 from cloudtomo_cl.radiance_field import RadianceField
@@ -21,10 +21,6 @@ _PATHS_PER_VOXEL = 45
 _LEAST_PATHS = 50_000
 # Share of a predicted change of a pixel that is taken for the prediction's error.
 _TANGENT_ERROR = 0.1
-# The prior's weight falls by this factor at most from an iteration to the next, and falls to this
-# share of the stage's at least: coarse voxels never fit the images to their noise.
-_WEIGHT_STEP = 2.0
-_LEAST_WEIGHT = 1 / 16
 # Diagonal of A^T A (prior.py) away from the edges: 1 + 26 / 26^2.
 _SMOOTHNESS_CURVATURE = 27 / 26
 # Least curvature of a voxel, of the mean one, in scaling the variables of the inner minimisation.
@@ -52,8 +48,7 @@ class GaussNewton:
     noise of the derivatives alone would let them fit noise of the images (docs/results.md).
     Parameters as of `StochasticDescent`.
 
-    Source: Gauss-Newton with bounds; derivatives by `RadianceField.jacobian`; the prior's weight by
-    Morozov's discrepancy principle (Morozov 1966).
+    Source: Gauss-Newton with bounds; derivatives by `RadianceField.jacobian`.
     """
 
     def __init__(
@@ -78,7 +73,7 @@ class GaussNewton:
         self._seen = seen
         self._measured = seen.radiance
         self._weights = pixel_weights(seen.radiance, seen.standard_error)
-        self._measured_noise = noise_of(seen.standard_error**2, self._weights)
+        self._measured_noise = noise_of(variance_of(seen.radiance, seen.standard_error), self._weights)
         self._unit = 2 * self._measured_noise / len(seen.pixels)  # n of the prior
         self._gains = Gains(self._weights, seen.pixels[:, 0], seen.calibration_errors, self._unit)
         self._smoothness = prior.smoothness
@@ -92,7 +87,7 @@ class GaussNewton:
         self._jacobian: np.ndarray | None = None
         self._walked: list[tuple[int, np.ndarray]] = []  # keys and extinctions that the derivatives are of
         self._lag = 0.0  # noise_of the errors of the last step's prediction
-        self._prior_weight = self._stage_weight = stage.prior_weight
+        self._stage_weight = stage.prior_weight
         self._iterations = 0
 
     @property
@@ -196,9 +191,10 @@ class GaussNewton:
         self._iterations += 1
 
     @property
-    def _noise(self) -> float:
-        """The data term that noise of measured and modelled images gives."""
-        return self._measured_noise + noise_of(self._variance, self._weights)
+    def _prior_weight(self) -> float:
+        """The stage's, in the data term's unit: the mean noise of a pixel, measured and modelled."""
+        noise = self._measured_noise + noise_of(self._variance, self._weights) + self._lag
+        return self._stage_weight * 2 * noise / len(self._measured)
 
     def _prior_at(self, values: np.ndarray) -> tuple[float, np.ndarray]:
         extinction = self._array.to_device(self._operator.device.queue, self._on_grid(values))
@@ -237,23 +233,10 @@ class GaussNewton:
         predicted = jacobian @ (self._extinction - start).astype(np.float32)
         self._image += predicted
         self._lag += noise_of((_TANGENT_ERROR * predicted) ** 2, self._weights)
-        self._adapt_prior()
-
-    def _adapt_prior(self) -> None:
-        """Brings the data term nearer to what noise gives."""
-        if self._optimizer.discrepancy is None or self._measured_noise == 0:
-            return
-        residual = self._image - self._measured
-        misfit = noise_of(residual * self._gains(residual, self._image), self._weights)
-        excess = misfit / (self._optimizer.discrepancy * self._noise)
-        # It only falls: a misfit that goes on falling below the noise is the fit's own part of it, and a weight
-        # that followed it up would undo what later images add.
-        wanted = self._prior_weight * float(np.clip(excess**-1.5, 1 / _WEIGHT_STEP, 1.0))
-        self._prior_weight = max(wanted, _LEAST_WEIGHT * self._stage_weight)
 
     def state(self) -> dict[str, np.ndarray]:
         """All that an iteration changes, as arrays on the host."""
-        names = ("extinction", "mean", "image", "variance", "lag", "prior_weight", "iterations")
+        names = ("extinction", "mean", "image", "variance", "lag", "iterations")
         own = {name: np.array(getattr(self, f"_{name}")) for name in names}
         keys, extinctions = zip(*self._walked) if self._walked else ((), ())
         walked: dict[str, np.ndarray] = {"keys": np.array(keys, np.int64)}

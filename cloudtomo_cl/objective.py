@@ -10,6 +10,8 @@ from cloudtomo_cl.errors import DataError
 # measured ones until late in a run; and with more, weights depend less on standard errors, which come from the
 # same samples as the radiances: with 3, images of 2048 samples seem 0.4 % darker by it, with 1 twice as much.
 _MODEL_VARIANCE = 3.0
+# Standard error, in shares of m + m_rms, where none is known: that of a good camera.
+_UNKNOWN_ERROR = 0.01
 
 
 def relative_weights(measured: np.ndarray) -> np.ndarray:
@@ -24,6 +26,19 @@ def relative_weights(measured: np.ndarray) -> np.ndarray:
     return 1.0 / (np.maximum(measured, 0.0) + np.sqrt(np.mean(measured**2))) ** 2
 
 
+def variance_of(measured: np.ndarray, standard_error: np.ndarray) -> np.ndarray:
+    """Variances of measured pixels.
+
+    measured, standard_error : shape (pixels,), one unit; errors of 0 are unknown: taken for a typical one, relative
+        to m + m_rms, of the others, or for 1 % if none is known
+    """
+    weights = relative_weights(measured)
+    relative = weights * standard_error**2
+    known = relative > 0
+    relative[~known] = np.median(relative[known]) if known.any() else _UNKNOWN_ERROR**2
+    return relative / weights
+
+
 def pixel_weights(measured: np.ndarray, standard_error: np.ndarray) -> np.ndarray:
     """Relative weights, changed by the inverse variances of a pixel's measured and modelled radiance.
 
@@ -31,15 +46,11 @@ def pixel_weights(measured: np.ndarray, standard_error: np.ndarray) -> np.ndarra
     of these, and c q stands for that of the modelled images. So a typical pixel's weight is r, that of a much noisier
     one falls as 1 / s^2, and none is larger than r (c + 1) / c.
 
-    measured, standard_error : shape (pixels,), one unit; errors of 0 are unknown, and typical
+    measured, standard_error : shape (pixels,), one unit; as for `variance_of`
     """
     weights = relative_weights(measured)
-    relative = weights * standard_error**2
-    known = relative > 0
-    if not known.any():
-        return weights
-    typical = np.median(relative[known])
-    relative[~known] = typical
+    relative = weights * variance_of(measured, standard_error)
+    typical = np.median(relative)
     return weights * (_MODEL_VARIANCE + 1) * typical / (_MODEL_VARIANCE * typical + relative)
 
 
@@ -174,6 +185,11 @@ class LaggedResidual:
             half_variance / 2,
             self.weights,
         )
+
+    @property
+    def noise(self) -> float:
+        """What noise of the remembered image adds to the cost."""
+        return noise_of(self._variance, self.weights)
 
     def move(self, change: np.ndarray) -> None:
         """Takes the remembered image along: what the last step changed, by the tangent, shape (pixels,)."""

@@ -24,8 +24,6 @@ class Optimizer:
     type : "gauss-newton" (the derivatives of all pixels are kept and a quadratic model of the cost is
         minimised), "adam" (Kingma and Ba 2015) or "sgd", plain gradient descent. All below but
         `start` and `floor` is for one of them
-    discrepancy : Gauss-Newton: the prior's weight is lowered until the data term is this many times
-        what noise of the images alone would give (Morozov's principle); none: the weight stays
     image_samples : Gauss-Newton: paths for the images, times those for the derivatives
     damping : Gauss-Newton: of the first steps, in shares of the data term's own curvature; it halves
         from step to step, down to a tenth
@@ -47,7 +45,6 @@ class Optimizer:
     """
 
     type: Literal["gauss-newton", "adam", "sgd"] = "gauss-newton"
-    discrepancy: Positive | None = 0.8
     image_samples: Annotated[int, Field(ge=0)] = 10
     damping: NotNegative = 0.1
     inner_iterations: Count = 40

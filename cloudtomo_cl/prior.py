@@ -14,21 +14,24 @@ from cloudtomo_cl.scene import NotNegative, Positive
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Prior:
-    """R = smoothness / 2 ||A b||^2 + monotonicity R_mon + sparsity R_clear, b the extinction in km^-1.
+    """R = N (smoothness / 2 ||A b||^2 + monotonicity R_mon) + n sparsity R_clear, b the extinction in km^-1.
+
+    n is the data term's unit, the mean over pixels of the weighted variances of the measured images' noise; N has
+    the modelled images' noise in it, too, and falls during a run. So the weights say what clouds are like, and follow
+    neither from the images nor from their number: the prior is Gaussian with an rms (A b) of smoothness^-1/2.
 
     A is the mean of a voxel's 26 neighbours minus itself; R_mon = -sum tanh(c1 Dz b) tanh(c2 b)
     over voxels with b > threshold, Dz the central difference along z from voxel to voxel.
     Source: the supplement's Eqs. 20-23, with the gradient corrected (docs/estimators.md), and
     the constants of the paper's released code.
 
-    R_clear = n sum b / (b + clear), n the mean of the weighted variances of the measured images'
-    noise, the data term's unit. It is ours: every voxel that holds cloud costs as much as its one
+    R_clear = sum b / (b + clear). It is ours: every voxel that holds cloud costs as much as its one
     parameter would fit of the noise (Akaike 1974's criterion, made smooth as by Geman and McClure 1985),
     so that what the images leave open stays clear.
 
     Attributes
     ----------
-    smoothness : mu1, km^2
+    smoothness : mu1, km^2; by default an rms (A b) of 7 km^-1
     monotonicity : mu2
     c1, c2 : km
     threshold : km^-1
@@ -36,7 +39,7 @@ class Prior:
     clear : km^-1, the extinction at which half of the cost is due
     """
 
-    smoothness: NotNegative = 5e-5
+    smoothness: NotNegative = 0.02
     monotonicity: NotNegative = 0.0
     c1: Positive = 0.2
     c2: Positive = 0.05
@@ -73,8 +76,8 @@ class PriorOperator:
     def value_and_gradient(self, extinction: Any, weight: float = 1.0, noise: float = 0.0) -> tuple[float, Any]:
         """The prior's value, and its gradient (km) on the device, for an extinction on the device.
 
-        weight : factor of smoothness and monotonicity
-        noise : n of the sparsity, the data term's unit
+        weight : N, factor of smoothness and monotonicity
+        noise : n, factor of the sparsity
         """
         prior, shape = self.prior, self._shape
         self._launch("laplacian", extinction.data, shape, self._work.data)

@@ -6,7 +6,7 @@ import numpy as np
 
 from cloudtomo_cl.checkpoint import joined, part
 from cloudtomo_cl.method import Progress, check_gradient
-from cloudtomo_cl.objective import Gains, LaggedResidual, noise_of, pixel_weights
+from cloudtomo_cl.objective import Gains, LaggedResidual, noise_of, pixel_weights, variance_of
 from cloudtomo_cl.optimizer import Descent, Optimizer
 from cloudtomo_cl.prior import Prior, PriorOperator
 from cloudtomo_cl.radiance_field import RadianceField
@@ -46,7 +46,7 @@ class StochasticDescent:
         self._prior_weight = stage.prior_weight
         self._samples = stage.samples or max(2, 2 * round(PATHS_PER_ITERATION / len(seen.pixels) / 2))
         weights = pixel_weights(seen.radiance, seen.standard_error)
-        self._noise = 2 * noise_of(seen.standard_error**2, weights) / len(weights)
+        self._noise = 2 * noise_of(variance_of(seen.radiance, seen.standard_error), weights) / len(weights)
         gains = Gains(weights, seen.pixels[:, 0], seen.calibration_errors, self._noise)
         self._residual = LaggedResidual(seen.radiance, weights, optimizer.image_memory, gains)
         self._prior = PriorOperator(prior, operator.scene.grid.shape, operator.device)
@@ -82,7 +82,8 @@ class StochasticDescent:
         else:
             gradient, tangent = self._field.gradient(rendering, adjoint, self._descent.change)
             self._residual.move(tangent)
-        prior_value, prior_gradient = self._prior.value_and_gradient(extinction, self._prior_weight, self._noise)
+        weight = self._prior_weight * (self._noise + 2 * self._residual.noise / len(adjoint))
+        prior_value, prior_gradient = self._prior.value_and_gradient(extinction, weight, self._noise)
         gradient = gradient + prior_gradient
         check_gradient(gradient.get(), where)
         self._descent.step(gradient)

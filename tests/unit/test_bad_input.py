@@ -178,7 +178,7 @@ def test_a_view_beside_the_cloud_may_look_at_the_ground(folder):
 IMAGES = {
     "narrower than stored": (with_values("image_width", 0, 3), "view 0 has 3 x 3 pixels by image_width and image_"),
     "wider than stored": (with_values("image_width", 0, 9), "image_width is [9, 3]: each must be a whole number"),
-    "nan inside": (with_values("radiance", (1, 0, 0), np.nan), "images of view 1 are not finite at row 0, column 0"),
+    "infinite": (with_values("radiance", (1, 0, 0), np.inf), "images of view 1 are not finite at row 0, column 0"),
     "negative error": (with_values("radiance_standard_error", (0, 0, 0), -1.0), "standard_errors of view 0 are negat"),
     "another unit": (with_attribute("radiance", "units", "mW"), "radiance has units 'mW', allowed are W m-2 sr-1"),
     "settings that are a number": (with_attribute(None, "settings", 5), "does not store [grid]"),
