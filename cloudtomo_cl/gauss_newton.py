@@ -184,7 +184,8 @@ class GaussNewton:
         rate = 1.0
         if self._iterations:
             old = noise_of(self._variance, self._weights) + self._lag
-            rate = old / (old + noise_of(variance, self._weights))
+            new = noise_of(variance, self._weights)
+            rate = old / (old + new) if old + new > 0 else 1 / (1 + self._iterations)
         self._image += rate * (image - self._image)
         self._variance = (1 - rate) ** 2 * self._variance + rate**2 * variance
         self._lag *= (1 - rate) ** 2
