@@ -16,11 +16,10 @@ _LEAST_CURVATURE = 1e-3
 
 
 def roughness(extinction: np.ndarray) -> np.ndarray:
-    """A b of prior.py: the mean of a voxel's 26 neighbours minus itself, the last three axes being the grid's."""
+    """A b of prior.py: the mean of a voxel's 26 neighbours minus itself."""
     from scipy.ndimage import uniform_filter
 
-    size = (1,) * (extinction.ndim - 3) + (3, 3, 3)
-    return (27 * uniform_filter(extinction, size, mode="nearest") - extinction) / 26 - extinction
+    return (27 * uniform_filter(extinction, 3, mode="nearest") - extinction) / 26 - extinction
 
 
 def standard_errors(
@@ -69,17 +68,18 @@ def standard_errors(
         curvature += weights[first : first + block].astype(np.float32) @ jacobian[first : first + block] ** 2
     scale = 1 / (curvature + smoothness * 27 / 26 + _LEAST_CURVATURE * curvature.mean())
 
-    def rough(values: np.ndarray) -> np.ndarray:
-        """A of the columns."""
-        full = np.zeros((values.shape[1], *mask.shape))
-        full[:, mask] = values.T
-        return roughness(full)
+    def stiffness(column: np.ndarray) -> np.ndarray:
+        """A^T A b; A is symmetric."""
+        full = np.zeros(mask.shape)
+        full[mask] = column
+        return roughness(roughness(full))[mask]
 
     def product(values: np.ndarray) -> np.ndarray:
         """The model's second derivative times the columns."""
         changed = jacobian @ values.astype(np.float32)
         force = np.column_stack([weights * correct(column) for column in changed.T])
-        return jacobian.T @ force.astype(np.float32) + smoothness * roughness(rough(values))[:, mask].T
+        held = np.column_stack([stiffness(column) for column in values.T])
+        return jacobian.T @ force.astype(np.float32) + smoothness * held
 
     right = np.zeros((voxels, draws + 1))  # the last one has no noise
     for draw in range(draws):
