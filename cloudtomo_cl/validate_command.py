@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser, seed: Callable[[str], int]) -
     """The options of the command; they are the parameters of `validate`. `seed` reads one."""
     parser.add_argument("--data", type=Path, metavar="DIR", help="has i3rc in it (default: CLOUDTOMO_DATA, if set)")
     number = parser.add_mutually_exclusive_group()
-    number.add_argument("--quick", action="store_true", help="few photons: a minute, and less strict")
+    number.add_argument("--quick", action="store_true", help="few photons: a minute or two, and less strict")
     number.add_argument("--photons", type=_photons, metavar="N", help="for each radiance and flux run (default 1e6)")
     parser.add_argument("--only", metavar="WORD", help="only cases with this in their name")
     parser.add_argument("--seed", type=seed, default=0, help="of the random numbers (default 0)")

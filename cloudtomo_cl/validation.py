@@ -61,6 +61,7 @@ class Quantity:
     view : the sensor of a radiance; none for a flux
     consensus : I3RC's name of the quantity's columns, if they are compared too
     published_error : standard error of the published value, where it is known
+    block : columns are averaged over block x block of them before they are compared
     """
 
     name: str
@@ -68,6 +69,7 @@ class Quantity:
     view: RadiometerView | None = None
     consensus: str | None = None
     published_error: float = 0.0
+    block: int = 1
 
 
 @dataclass(frozen=True)
@@ -191,6 +193,8 @@ STEP_CLOUD: tuple[tuple[int, float, float, dict[str, float]], ...] = (
 # is kept whatever the height of the layers is, and docs/validation.md says how little depends on it.
 LANDSAT_SPACING = (0.03, 0.03, 0.1)  # km
 LANDSAT = {"R": 0.30449, "T": 0.69553, "Iu": 0.21521}
+# The consensus's nadir radiances are noisy column by column: docs/validation.md.
+LANDSAT_RADIANCE_BLOCK = 4
 # The sun shines from the side of low x: it stands at azimuth 180. I3RC counts azimuths of
 # views from the direction in which sunlight travels, so that I601 looks into the forward peak.
 # Compared with the columns of every consensus: mirror images do not fit.
@@ -250,12 +254,11 @@ def landsat(files: Path) -> Experiment:
     quantities = (
         Quantity("R", LANDSAT["R"], None, "R"),
         Quantity("T", LANDSAT["T"], None, "T"),
-        Quantity("nadir", LANDSAT["Iu"], nadir, "Iu", I3RC_RADIANCE_ERROR * LANDSAT["Iu"]),
+        Quantity("nadir", LANDSAT["Iu"], nadir, "Iu", I3RC_RADIANCE_ERROR * LANDSAT["Iu"], LANDSAT_RADIANCE_BLOCK),
     )
-    # Sixteen thousand columns share the photons. A path's radiance is 2.6 times as noisy as it is large: below
-    # some 4e7 paths what is left of the r.m.s. difference after subtraction of the noise is noise, too.
+    # Sixteen thousand columns share the photons, and a path's radiance is 2.6 times as noisy as it is large.
     name = "I3RC Landsat cloud, exp 1"
-    return Experiment(name, scene, extinction, quantities, I3RC_SOURCE, (3, 1), effort=4.0, radiance_effort=60.0)
+    return Experiment(name, scene, extinction, quantities, I3RC_SOURCE, (3, 1), effort=4.0, radiance_effort=20.0)
 
 
 def slabs() -> Iterator[Experiment]:
@@ -409,7 +412,7 @@ def run(
             if found is None:
                 assert fluxes is not None
                 found = flux_columns(fluxes, FLUXES[quantity.name][0], incident)
-            rows.append(compare_columns(rows[-1], *found, consensus[quantity.name]))
+            rows.append(compare_columns(rows[-1], *found, consensus[quantity.name], quantity.block))
     return rows
 
 
@@ -435,7 +438,9 @@ def flux_columns(fluxes: Fluxes, name: str, incident: float) -> tuple[np.ndarray
     return estimate.value / incident, estimate.standard_error / incident
 
 
-def compare_columns(mean: Row, value: np.ndarray, standard_error: np.ndarray, consensus: np.ndarray) -> Row:
+def compare_columns(
+    mean: Row, value: np.ndarray, standard_error: np.ndarray, consensus: np.ndarray, block: int = 1
+) -> Row:
     """The r.m.s. difference of columns from a consensus, over the consensus's mean.
 
     Our own noise is subtracted in the mean square (its expectation is the squared standard
@@ -445,7 +450,11 @@ def compare_columns(mean: Row, value: np.ndarray, standard_error: np.ndarray, co
     ----------
     mean : the line of the domain's mean
     value, standard_error, consensus : shape (nx, ny)
+    block : of columns that are averaged before; must divide nx and ny
     """
+    blocks = (value.shape[0] // block, block, value.shape[1] // block, block)
+    value, consensus = (columns.reshape(blocks).mean(axis=(1, 3)) for columns in (value, consensus))
+    standard_error = np.sqrt((standard_error**2).reshape(blocks).sum(axis=(1, 3))) / block**2
     square = (value - consensus) ** 2
     noise = standard_error**2
     mean_square = float((square - noise).mean())
@@ -454,7 +463,7 @@ def compare_columns(mean: Row, value: np.ndarray, standard_error: np.ndarray, co
     rms = np.sqrt(max(mean_square, 0.0))
     error = error_of_square / (2 * max(rms, np.sqrt(error_of_square)))
     scale = float(consensus.mean())
-    quantity = f"{mean.quantity}, {value.size} columns"
+    quantity = f"{mean.quantity}, {value.size} " + ("columns" if block == 1 else f"blocks of {block} x {block}")
     return Row(
         mean.experiment, quantity, mean.source, 0.0, float(rms / scale), float(error / scale), mean.photons, True
     )

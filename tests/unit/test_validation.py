@@ -50,6 +50,22 @@ def test_noise_is_no_difference_of_columns(random):
     assert abs(rows[1].value - 0.02 / scale) < 4 * rows[1].standard_error < 0.02
 
 
+def test_blocks_average_out_noise_of_the_consensus_but_no_difference(random):
+    truth = np.kron(random.uniform(0.2, 0.6, (32, 32)), np.ones((4, 4)))
+    consensus = truth + 0.02 * random.standard_normal(truth.shape)
+    zero = np.zeros(truth.shape)
+    shift = np.kron(np.where(random.random((32, 32)) < 0.5, 0.02, -0.02), np.ones((4, 4)))
+    single, blocks, shifted = (
+        compare_columns(ROW, value, zero, consensus, block)
+        for value, block in ((truth, 1), (truth, 4), (truth + shift, 4))
+    )
+    # Relative errors of standard deviations of 16384 and of 1024 numbers: 0.6 and 2.2 %.
+    assert single.value * truth.mean() == pytest.approx(0.02, rel=0.03)
+    assert blocks.value * truth.mean() == pytest.approx(0.02 / 4, rel=0.1)
+    assert shifted.value * truth.mean() == pytest.approx(np.hypot(0.02, 0.02 / 4), rel=0.1)
+    assert "1024 blocks of 4 x 4" in blocks.quantity
+
+
 def test_every_case_has_a_name_of_its_own():
     names = [case.name for case in validation.cases()]
     assert len(set(names)) == len(names) >= 17
