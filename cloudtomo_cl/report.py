@@ -257,5 +257,5 @@ def _view_table(measurements: Measurements, modelled: Measurements) -> str:
         rows.append(f"<tr><td>{index}</td>{means}<td>{relative:.1%}</td><td>{square}</td></tr>")
     return (
         "<div class='wide'><table><tr><th>view</th><th>measured mean (W m⁻² sr⁻¹)</th><th>modelled mean</th>"
-        "<th>mean difference</th><th>mean square, standard errors</th></tr>" + "".join(rows) + "</table></div>"
+        "<th>mean absolute difference</th><th>mean square, standard errors</th></tr>" + "".join(rows) + "</table></div>"
     )

@@ -258,7 +258,7 @@ def landsat(files: Path) -> Experiment:
     )
     # Sixteen thousand columns share the photons, and a path's radiance is 2.6 times as noisy as it is large.
     name = "I3RC Landsat cloud, exp 1"
-    return Experiment(name, scene, extinction, quantities, I3RC_SOURCE, (3, 1), effort=4.0, radiance_effort=20.0)
+    return Experiment(name, scene, extinction, quantities, I3RC_SOURCE, (3, 1), effort=4.0, radiance_effort=10.0)
 
 
 def slabs() -> Iterator[Experiment]:
