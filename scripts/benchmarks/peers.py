@@ -82,7 +82,7 @@ def gradient(name: str, quick: bool) -> Iterator[Line]:
     except (Missing, FileNotFoundError) as reason:
         yield _missing(row, what, _GOALS["gradient"], reason)
         return
-    repeats, theirs, ours = (3, 8, 16) if quick else (9, 32, 64)
+    repeats, theirs, ours = (3, 8, 16) if quick else (7, 16, 64)
     mask = case.extinction > 0
     operator = ct.RadianceOperator(case.scene, (case.view,), mask=mask)
     adjoint = np.full((len(operator.pixels), 2), 0.5 / len(operator.pixels))
@@ -116,7 +116,7 @@ def gradient(name: str, quick: bool) -> Iterator[Line]:
     sums = {program: values @ case.extinction[mask] for program, values in found.items()}
     error = {program: float(np.std(values, ddof=1) / np.sqrt(repeats)) for program, values in sums.items()}
     mean = {program: float(np.mean(values)) for program, values in sums.items()}
-    expected = _along_extinction(operator, case.extinction, 128 if quick else 1024)
+    expected = _along_extinction(operator, case.extinction, 128 if quick else 512)
     share = {"replay": theirs / ours, "field": theirs / ours}
     for program in ("replay", "field"):
         times = np.divide(seconds["Mitsuba"], seconds[program])
