@@ -61,7 +61,7 @@ def automatic_stages(grid: Grid, method: str = "gauss-newton") -> tuple[Stage, .
         last = share == shares[-1]
         pixels = min(1.0, 2 * share)
         if method == "gauss-newton":
-            iterations, window = (20, 20) if last else (4, 20)
+            iterations, window = (30, 30) if last else (4, 20)
         else:
             # The last stage has the details to find, which show little in the cost: it is not given up early.
             iterations, window = (600, 200) if last else (100, 20)

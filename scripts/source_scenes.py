@@ -110,8 +110,8 @@ def stage_settings(scene: SourceScene, shape: tuple[int, int, int]) -> str:
     tables = []
     for grid in grids:
         last = grid == grids[-1]
-        share, iterations = min(1.0, 2 * max(grid) / max(shape)), 20 if last else 4
-        tables.append(f"[[stage]]\ngrid = {[*grid]}\npixels = {share}\niterations = {iterations}\nwindow = 20\n")
+        share, iterations = min(1.0, 2 * max(grid) / max(shape)), 30 if last else 4
+        tables.append(f"[[stage]]\ngrid = {[*grid]}\npixels = {share}\niterations = {iterations}\nwindow = 30\n")
     return "".join(tables)
 
 
