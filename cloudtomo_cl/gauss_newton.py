@@ -139,7 +139,7 @@ class GaussNewton:
         None if the images' noise is not known, or before the first iteration.
         """
         self._recall()
-        if self._jacobian is None or self._unit == 0:
+        if self._jacobian is None or not self._seen.standard_error.any():
             return None
         image, seen = self._image, self._seen
         misfit = image - self._measured + self._jacobian @ (self._mean - self._extinction).astype(np.float32)
@@ -158,7 +158,7 @@ class GaussNewton:
             noise,
             lambda residual: self._gains(residual, image),
             self._prior_weight * self._smoothness,
-            self._unit,
+            self._noise,
             self._mask,
             self._mean,
             gradient,
@@ -192,10 +192,14 @@ class GaussNewton:
         self._iterations += 1
 
     @property
-    def _prior_weight(self) -> float:
-        """The stage's, in the data term's unit: the mean noise of a pixel, measured and modelled."""
+    def _noise(self) -> float:
+        """N of the prior: the mean weighted variance of a pixel's noise, measured and modelled."""
         noise = self._measured_noise + noise_of(self._variance, self._weights) + self._lag
-        return self._stage_weight * 2 * noise / len(self._measured)
+        return 2 * noise / len(self._measured)
+
+    @property
+    def _prior_weight(self) -> float:
+        return self._stage_weight * self._noise
 
     def _prior_at(self, values: np.ndarray) -> tuple[float, np.ndarray]:
         extinction = self._array.to_device(self._operator.device.queue, self._on_grid(values))

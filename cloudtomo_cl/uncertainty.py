@@ -49,7 +49,7 @@ def standard_errors(
     noise : draws noise of the images, shape (pixels,)
     correct : what is left of residuals, `Gains`, shape (pixels,)
     smoothness : weight of 1/2 ||A b||^2 in the cost; 0 leaves the prior's part out
-    unit : n, the cost that one datum's noise gives, twice
+    unit : the mean weighted variance of a pixel's noise
     mask : bool, shape of the grid
     estimate : km^-1, shape (voxels of the mask,)
     gradient : of the cost there, with all priors, same shape
