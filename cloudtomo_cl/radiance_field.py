@@ -226,7 +226,13 @@ class RadianceField:
         field = self._field.get()
         require_sums(field, "the radiance field", "voxel of the mask, direction and kind")
         self._table += field / np.float32(FIELD_UNIT)
-        pyopencl.enqueue_fill_buffer(self._field.queue, self._field.data, np.zeros(1, np.uint8), 0, self._field.nbytes)
+        pyopencl.enqueue_fill_buffer(
+            self._operator.device.queue,
+            self._field.data,  # type: ignore[arg-type]  # an array's is a buffer
+            np.zeros(1, np.uint8),
+            0,
+            self._field.nbytes,
+        )
         radiance = self._radiance()
         scattered = self._albedo * (radiance @ self._scattering.T) - radiance
         self._scattered.set(scattered.astype(np.float32))
