@@ -25,6 +25,11 @@ WORK_GROUP_SIZE = 64
 _FIRST_LAUNCH = 1 << 18
 _LARGEST_LAUNCH = 1 << 24
 _LAUNCH_SECONDS = 0.4
+# Drivers that are known to compute wrongly, by a part of the device's name: what is said when one is opened.
+_FAULTS = {
+    "llvmpipe": "it ends loops after 65,535 rounds and says nothing, so paths through thick clouds are cut short "
+    "(no audit sees it), and it has crashed in gradients: choose another device for results",
+}
 _WIDE_ATOMICS_EXTENSION = "cl_khr_int64_base_atomics"
 _WIDE_ATOMICS, _NARROW_ATOMICS = "64-bit atomics", "32-bit atomics with carry"
 
@@ -156,6 +161,9 @@ class Device:
         self.queue = cl.CommandQueue(self.context)
         self.name = opencl_device.name.strip()
         self.accumulation = _accumulation(opencl_device)
+        for part, fault in _FAULTS.items():
+            if part in self.name:
+                warnings.warn(f"device {self.name}: {fault} (`cloudtomo devices` lists them)", RuntimeWarning, 2)
         self._programs: dict[str, Any] = {}
         self._kernels: dict[tuple[str, str, tuple[str, ...]], Any] = {}
 

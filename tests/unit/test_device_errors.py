@@ -167,3 +167,9 @@ def test_kernels_build_from_a_folder_with_a_space(monkeypatch, tmp_path):
     monkeypatch.setattr("cloudtomo_cl.device.resources.files", lambda name: folder)
     device = Device(cl.get_platforms()[0].get_devices()[0])
     device.build('#include "only_here.h"\n#include "rng.h"\n__kernel void f(__global int *a) { a[0] = ONLY_HERE; }')
+
+
+def test_a_device_that_is_known_to_compute_wrongly_is_told(monkeypatch):
+    monkeypatch.setattr("cloudtomo_cl.device._FAULTS", {choose_device().name[:5]: "it cannot count"})
+    with pytest.warns(RuntimeWarning, match="it cannot count"):
+        choose_device()
