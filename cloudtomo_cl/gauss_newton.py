@@ -145,7 +145,7 @@ class GaussNewton:
         misfit = image - self._measured + self._jacobian @ (self._mean - self._extinction).astype(np.float32)
         force = self._weights * self._gains(misfit, image)
         gradient = force.astype(np.float32) @ self._jacobian + self._prior_at(self._mean)[1]
-        deviation = np.sqrt(seen.standard_error**2 + self._variance)
+        deviation = np.sqrt(variance_of(seen.radiance, seen.standard_error) + self._variance)
         gains = np.array(seen.calibration_errors)
 
         def noise(random: np.random.Generator) -> np.ndarray:

@@ -6,10 +6,10 @@ import numpy as np
 
 from cloudtomo_cl.errors import DataError
 
-# Variance of the modelled images, of the typical measured one, in weights. Modelled images are noisier than
-# measured ones until late in a run; and with more, weights depend less on standard errors, which come from the
-# same samples as the radiances: with 3, images of 2048 samples seem 0.4 % darker by it, with 1 twice as much.
-_MODEL_VARIANCE = 3.0
+# Relative variance, in typical ones, beyond which a pixel's weight follows it. Below, the modelled image's noise
+# counts as much; and standard errors come from the same samples as radiances: weights that follow them closely
+# favour pixels that are dark by chance (docs/estimators.md).
+_NOISY = 4.0
 # Standard error, in shares of m + m_rms, where none is known: that of a good camera.
 _UNKNOWN_ERROR = 0.01
 
@@ -40,18 +40,15 @@ def variance_of(measured: np.ndarray, standard_error: np.ndarray) -> np.ndarray:
 
 
 def pixel_weights(measured: np.ndarray, standard_error: np.ndarray) -> np.ndarray:
-    """Relative weights, changed by the inverse variances of a pixel's measured and modelled radiance.
+    """Relative weights r, but for noisy pixels: r min(1, 4 q / (r s^2)), q the median of the pixels' r s^2.
 
-    w = r (c + 1) q / (c q + r s^2), where r is the relative weight, r s^2 a pixel's relative variance, q the median
-    of these, and c q stands for that of the modelled images. So a typical pixel's weight is r, that of a much noisier
-    one falls as 1 / s^2, and none is larger than r (c + 1) / c.
+    So a pixel whose relative standard error is more than twice the typical one weighs by its inverse variance.
 
-    measured, standard_error : shape (pixels,), one unit; as for `variance_of`
+    measured, standard_error : radiance and s, shape (pixels,), one unit; as for `variance_of`
     """
     weights = relative_weights(measured)
     relative = weights * variance_of(measured, standard_error)
-    typical = np.median(relative)
-    return weights * (_MODEL_VARIANCE + 1) * typical / (_MODEL_VARIANCE * typical + relative)
+    return weights / np.maximum(1.0, relative / (_NOISY * np.median(relative)))
 
 
 class Gains:
