@@ -72,8 +72,8 @@ class GaussNewton:
         self._samples = stage.samples or samples_of(len(seen.pixels), int(mask.sum()))
         self._seen = seen
         self._measured = seen.radiance
-        self._weights = pixel_weights(seen.radiance, seen.standard_error)
-        self._measured_noise = noise_of(variance_of(seen.radiance, seen.standard_error), self._weights)
+        self._weights = pixel_weights(seen.level, seen.standard_error)
+        self._measured_noise = noise_of(variance_of(seen.level, seen.standard_error), self._weights)
         self._unit = 2 * self._measured_noise / len(seen.pixels)  # n of the prior
         self._gains = Gains(self._weights, seen.pixels[:, 0], seen.calibration_errors, self._unit)
         self._smoothness = prior.smoothness
@@ -145,7 +145,7 @@ class GaussNewton:
         misfit = image - self._measured + self._jacobian @ (self._mean - self._extinction).astype(np.float32)
         force = self._weights * self._gains(misfit, image)
         gradient = force.astype(np.float32) @ self._jacobian + self._prior_at(self._mean)[1]
-        deviation = np.sqrt(variance_of(seen.radiance, seen.standard_error) + self._variance)
+        deviation = np.sqrt(variance_of(seen.level, seen.standard_error) + self._variance)
         gains = np.array(seen.calibration_errors)
 
         def noise(random: np.random.Generator) -> np.ndarray:

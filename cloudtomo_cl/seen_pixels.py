@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from cloudtomo_cl.carving import pixels_that_see
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.radiance_field import neighbours
 from cloudtomo_cl.sensors import View
 
 
@@ -30,6 +32,14 @@ class SeenPixels:
     radiance: np.ndarray
     standard_error: np.ndarray
     calibration_errors: tuple[float, ...]
+
+    @cached_property
+    def level(self) -> np.ndarray:
+        """Mean of a pixel's radiance and its neighbours', W m^-2 sr^-1, shape (pixels,): for weights.
+
+        Weights of a pixel's own radiance would be largest where noise has made it dark.
+        """
+        return neighbours(self.views, self.pixels) @ self.radiance
 
 
 def seen_pixels(measurements: Measurements, grid: Grid, mask: np.ndarray) -> SeenPixels:

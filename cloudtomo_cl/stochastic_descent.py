@@ -45,8 +45,8 @@ class StochasticDescent:
         self._seed = seed
         self._prior_weight = stage.prior_weight
         self._samples = stage.samples or max(2, 2 * round(PATHS_PER_ITERATION / len(seen.pixels) / 2))
-        weights = pixel_weights(seen.radiance, seen.standard_error)
-        self._noise = 2 * noise_of(variance_of(seen.radiance, seen.standard_error), weights) / len(weights)
+        weights = pixel_weights(seen.level, seen.standard_error)
+        self._noise = 2 * noise_of(variance_of(seen.level, seen.standard_error), weights) / len(weights)
         gains = Gains(weights, seen.pixels[:, 0], seen.calibration_errors, self._noise)
         self._residual = LaggedResidual(seen.radiance, weights, optimizer.image_memory, gains)
         self._prior = PriorOperator(prior, operator.scene.grid.shape, operator.device)

@@ -6,6 +6,8 @@ from scipy.optimize import minimize
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.objective import Gains, LaggedResidual, pixel_weights, relative_weights
+from cloudtomo_cl.seen_pixels import SeenPixels
+from cloudtomo_cl.sensors import OrthographicView
 
 PIXELS = 400
 MEASURED = np.full(PIXELS, 1.0)
@@ -139,3 +141,15 @@ def test_exact_views_keep_their_residuals(random):
 def test_calibration_errors_without_noise_are_refused():
     with pytest.raises(DataError, match="standard errors"):
         Gains(WEIGHTS, VIEW, (0.1,) * 4, 0.0)
+
+
+def test_weights_by_the_level_do_not_favour_pixels_that_are_dark_by_chance(random):
+    """A factor fitted to an image of ones with 15 % noise is 1 - 0.15^2 / 9 on average; with weights of the pixels'
+    own radiances it is 1 - 0.15^2. 5 standard errors of the mean."""
+    side, noise = 100, 0.15
+    pixels = np.column_stack([np.zeros(side**2, int), np.arange(side**2)])
+    radiance = 1 + noise * random.standard_normal(side**2)
+    view = OrthographicView(width=1.0, pixels=(side, side), zenith=0, azimuth=0)
+    seen = SeenPixels((view,), pixels, radiance, np.full(side**2, noise), ())
+    weights = pixel_weights(seen.level, seen.standard_error)
+    assert np.average(radiance, weights=weights) == pytest.approx(1 - noise**2 / 9, abs=5 * noise / side)
