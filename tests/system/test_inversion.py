@@ -91,16 +91,16 @@ def test_images_of_different_sizes_recover_the_cloud(problem, device):
 
 
 def test_known_calibration_errors_do_less_harm(problem, device):
-    """Gains of 1.15 and 0.9 in two of four views, taken for exact and for uncertain by 10 %."""
+    """Gains of 1.4 and 0.7 in two of four views, taken for exact and for uncertain by 30 %."""
     scene, measurements, truth = problem
-    images = tuple(image * gain for image, gain in zip(measurements.images, (1.0, 1.15, 0.9, 1.0)))
+    images = tuple(image * gain for image, gain in zip(measurements.images, (1.0, 1.4, 0.7, 1.0)))
     stages = (ct.Stage(grid=(8, 8, 8), iterations=5),)
     errors = [
         ct.epsilon(recover((scene, replace(measurements, images=images, calibration_errors=known), truth), device,
                            stages=stages, seed=2).extinction, truth)
-        for known in ((), (0.1,) * 4)
+        for known in ((), (0.3,) * 4)
     ]  # fmt: skip
-    assert errors[1] < 0.95 * errors[0]
+    assert errors[1] < 0.9 * errors[0]
 
 
 def test_noisier_images_give_larger_standard_errors(problem, device):
@@ -115,23 +115,25 @@ def test_noisier_images_give_larger_standard_errors(problem, device):
     assert np.sqrt(np.mean(noisy[truth > 0] ** 2)) > 1.3 * np.sqrt(np.mean(fine[truth > 0] ** 2)) > 0
 
 
-def test_standard_errors_are_the_scatter_over_images(problem, device):
-    """Of eight recoveries from images with other noise, pooled over the voxels that hold cloud: within a factor of
-    1.5 (the scatter of eight is known to 10 %, less where voxels vary together)."""
+def test_standard_errors_lie_between_scatter_and_error(problem, device):
+    """Of five recoveries from images with other noise, pooled over the voxels that hold cloud: no less, but for 20 %
+    (the scatter of five is known to 15 %, less where voxels vary together), for what the prior leaves open comes on
+    top of it; and no more than the error against the truth, which has the priors' bias, too."""
     scene, _, truth = problem
     views = problem[1].views
     operator = ct.RadianceOperator(scene, views, device)
     found, stated = [], []
-    for seed in range(8):
+    for seed in range(5):
         images = ct.Measurements.rendered(operator, operator.render(truth, 512, seed=20 + seed))
         stages = (ct.Stage(grid=(8, 8, 8), iterations=5),)
         result = recover((scene, images, truth), device, stages=stages, seed=seed, uncertainty=20)
         found.append(result.extinction)
         stated.append(result.standard_error)
     scatter = np.sqrt(np.mean(np.var(found, axis=0, ddof=1)[truth > 0]))
-    error = np.sqrt(np.mean(np.square(stated)[:, truth > 0]))
-    print(f"scatter {scatter:.2f}, stated {error:.2f} km^-1")
-    assert 1 / 1.5 < scatter / error < 1.5
+    said = np.sqrt(np.mean(np.square(stated)[:, truth > 0]))
+    error = np.sqrt(np.mean((np.array(found) - truth)[:, truth > 0] ** 2))
+    print(f"scatter {scatter:.2f}, stated {said:.2f}, error {error:.2f} km^-1")
+    assert 0.8 * scatter < said < error
 
 
 @pytest.mark.parametrize("reason", ["unknown noise", "adam", "not asked for", "time limit"])
