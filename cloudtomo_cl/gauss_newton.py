@@ -7,24 +7,20 @@ from scipy.optimize import minimize
 
 from cloudtomo_cl.checkpoint import joined, part
 from cloudtomo_cl.method import Progress, check_gradient
-from cloudtomo_cl.objective import Gains, cost_of_independent, noise_of, pixel_weights, variance_of
+from cloudtomo_cl.objective import cost_of_independent, curvature_of, noise_of
 from cloudtomo_cl.optimizer import Optimizer
-from cloudtomo_cl.prior import Prior, PriorOperator
+from cloudtomo_cl.prior import SMOOTHNESS_CURVATURE, Prior, PriorOperator
 from cloudtomo_cl.radiance_field import RadianceField
 from cloudtomo_cl.seen_pixels import SeenPixels
 from cloudtomo_cl.stages import Stage
 from cloudtomo_cl.transport import RadianceOperator, Rendering, pooled
-from cloudtomo_cl.uncertainty import standard_errors
+from cloudtomo_cl.uncertainty import LEAST_CURVATURE, standard_errors
 
 # Paths of an iteration that derivatives are made of, for each voxel of the mask, and the least of all.
 _PATHS_PER_VOXEL = 45
 _LEAST_PATHS = 50_000
 # Share of a predicted change of a pixel that is taken for the prediction's error.
 _TANGENT_ERROR = 0.1
-# Diagonal of A^T A (prior.py) away from the edges: 1 + 26 / 26^2.
-_SMOOTHNESS_CURVATURE = 27 / 26
-# Least curvature of a voxel, of the mean one, in scaling the variables of the inner minimisation.
-_LEAST_CURVATURE = 1e-3
 # Of L-BFGS-B's memory.
 _CORRECTIONS = 20
 
@@ -72,10 +68,9 @@ class GaussNewton:
         self._samples = stage.samples or samples_of(len(seen.pixels), int(mask.sum()))
         self._seen = seen
         self._measured = seen.radiance
-        self._weights = pixel_weights(seen.level, seen.standard_error)
-        self._measured_noise = noise_of(variance_of(seen.level, seen.standard_error), self._weights)
-        self._unit = 2 * self._measured_noise / len(seen.pixels)  # n of the prior
-        self._gains = Gains(self._weights, seen.pixels[:, 0], seen.calibration_errors, self._unit)
+        self._weights = seen.weights
+        self._unit = seen.unit
+        self._gains = seen.gains
         self._smoothness = prior.smoothness
         self._curvature_of_sparsity = prior.sparsity / prior.clear**2
         self._prior = PriorOperator(prior, operator.scene.grid.shape, operator.device)
@@ -145,7 +140,7 @@ class GaussNewton:
         misfit = image - self._measured + self._jacobian @ (self._mean - self._extinction).astype(np.float32)
         force = self._weights * self._gains(misfit, image)
         gradient = force.astype(np.float32) @ self._jacobian + self._prior_at(self._mean)[1]
-        deviation = np.sqrt(variance_of(seen.level, seen.standard_error) + self._variance)
+        deviation = np.sqrt(seen.variance + self._variance)
         gains = np.array(seen.calibration_errors)
 
         def noise(random: np.random.Generator) -> np.ndarray:
@@ -194,8 +189,7 @@ class GaussNewton:
     @property
     def _noise(self) -> float:
         """N of the prior: the mean weighted variance of a pixel's noise, measured and modelled."""
-        noise = self._measured_noise + noise_of(self._variance, self._weights) + self._lag
-        return 2 * noise / len(self._measured)
+        return self._unit + 2 * (noise_of(self._variance, self._weights) + self._lag) / len(self._measured)
 
     @property
     def _prior_weight(self) -> float:
@@ -211,14 +205,11 @@ class GaussNewton:
         jacobian = self._jacobian
         assert jacobian is not None
         start, residual, image = self._extinction, self._image - self._measured, self._image.copy()
-        curvature = np.zeros(len(start))
-        block = max(1, (1 << 24) // len(start))
-        for first in range(0, len(jacobian), block):
-            curvature += self._weights[first : first + block].astype(np.float32) @ jacobian[first : first + block] ** 2
+        curvature = curvature_of(jacobian, self._weights)
         check_gradient(self._on_grid(curvature), where)
         damping = self._optimizer.damping * max(0.5 ** (self._iterations - 1), 0.1)
-        stiff = curvature * (1 + damping) + self._prior_weight * self._smoothness * _SMOOTHNESS_CURVATURE
-        stiff += self._unit * self._curvature_of_sparsity + _LEAST_CURVATURE * curvature.mean()
+        stiff = curvature * (1 + damping) + self._prior_weight * self._smoothness * SMOOTHNESS_CURVATURE
+        stiff += self._unit * self._curvature_of_sparsity + LEAST_CURVATURE * curvature.mean()
         scale = 1 / np.sqrt(stiff)
 
         def model(scaled: np.ndarray) -> tuple[float, np.ndarray]:

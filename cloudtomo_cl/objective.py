@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloudtomo_cl.errors import DataError
-
 # Relative variance, in typical ones, beyond which a pixel's weight follows it. Below, the modelled image's noise
 # counts as much; and standard errors come from the same samples as radiances: weights that follow them closely
 # favour pixels that are dark by chance (docs/estimators.md).
 _NOISY = 4.0
 # Standard error, in shares of m + m_rms, where none is known: that of a good camera.
 _UNKNOWN_ERROR = 0.01
+# Entries of a Jacobian that are squared at a time.
+_BLOCK = 1 << 24
 
 
 def relative_weights(measured: np.ndarray) -> np.ndarray:
@@ -69,10 +69,6 @@ class Gains:
     view : of each pixel, shape (pixels,)
     calibration_errors : s, one for each view; 0 for a gain that is exact
     unit : n
-
-    Raises
-    ------
-    DataError : a calibration error, but no noise to compare with
     """
 
     def __init__(
@@ -80,8 +76,6 @@ class Gains:
     ) -> None:
         errors = np.asarray(calibration_errors, float)
         self._free = bool(np.any(errors > 0))
-        if self._free and unit == 0:
-            raise DataError("calibration errors need the standard errors of the radiances, which are all 0 (unknown)")
         self._weights, self._view = weights, view
         self._held = np.divide(unit, errors**2, out=np.full(len(errors), np.inf), where=errors > 0)
         # Exact views fix the scale by themselves.
@@ -101,6 +95,16 @@ class Gains:
             back = self._share / stiffness
             gains -= back * (self._share @ gains) / (self._share @ back)
         return residual - gains[self._view] * modelled
+
+
+def curvature_of(jacobian: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The diagonal of J^T W J: sum_d w_d J_dv^2, shape (voxels,); in blocks, for the sake of memory."""
+    curvature = np.zeros(jacobian.shape[1])
+    block = max(1, _BLOCK // len(curvature))
+    for first in range(0, len(jacobian), block):
+        here = slice(first, first + block)
+        curvature += weights[here].astype(np.float32) @ jacobian[here] ** 2
+    return curvature
 
 
 def noise_of(variance: np.ndarray, weights: np.ndarray) -> float:

@@ -11,6 +11,9 @@ from pydantic.dataclasses import dataclass
 from cloudtomo_cl.device import Device, device_errors
 from cloudtomo_cl.scene import NotNegative, Positive
 
+# Diagonal of A^T A away from the edges: 1 + 26 / 26^2.
+SMOOTHNESS_CURVATURE = 27 / 26
+
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Prior:

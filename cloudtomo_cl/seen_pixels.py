@@ -11,6 +11,7 @@ from cloudtomo_cl.carving import pixels_that_see
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import Grid
 from cloudtomo_cl.measurements import Measurements
+from cloudtomo_cl.objective import Gains, noise_of, pixel_weights, variance_of
 from cloudtomo_cl.radiance_field import neighbours
 from cloudtomo_cl.sensors import View
 
@@ -40,6 +41,26 @@ class SeenPixels:
         Weights of a pixel's own radiance would be largest where noise has made it dark.
         """
         return neighbours(self.views, self.pixels) @ self.radiance
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """Of the data term, shape (pixels,)."""
+        return pixel_weights(self.level, self.standard_error)
+
+    @cached_property
+    def variance(self) -> np.ndarray:
+        """Of the measured radiances' noise, also where it is unknown, shape (pixels,)."""
+        return variance_of(self.level, self.standard_error)
+
+    @property
+    def unit(self) -> float:
+        """The data term's: the mean of weight times variance, n of the prior."""
+        return 2 * noise_of(self.variance, self.weights) / len(self.pixels)
+
+    @property
+    def gains(self) -> Gains:
+        """Of the views, which their calibration leaves open."""
+        return Gains(self.weights, self.pixels[:, 0], self.calibration_errors, self.unit)
 
 
 def seen_pixels(measurements: Measurements, grid: Grid, mask: np.ndarray) -> SeenPixels:

@@ -8,6 +8,7 @@ kernels know of a sensor.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, Any, Literal
@@ -51,11 +52,12 @@ def line_of_sight(position: Triple, target: Triple) -> np.ndarray:
     return sight / norm
 
 
-class AffineView:
+class AffineView(ABC):
     """What views have in common whose rays are affine in the image coordinates."""
 
     pixels: Pixels
 
+    @abstractmethod
     def rays(self, grid: Grid, top: float | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Ray origins (km) and directions as affine functions of (u, v).
 
@@ -67,7 +69,6 @@ class AffineView:
         Returns two arrays of shape (3, 3): the value at (0, 0), its change over u, over v.
         Along each image coordinate either the origin changes or the direction, not both.
         """
-        raise NotImplementedError
 
     def with_pixels(self, pixels: Pixels) -> View:
         """The same field of view in other pixels (width, height)."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from cloudtomo_cl.checkpoint import joined, part
 from cloudtomo_cl.method import Progress, check_gradient
-from cloudtomo_cl.objective import Gains, LaggedResidual, noise_of, pixel_weights, variance_of
+from cloudtomo_cl.objective import LaggedResidual
 from cloudtomo_cl.optimizer import Descent, Optimizer
 from cloudtomo_cl.prior import Prior, PriorOperator
 from cloudtomo_cl.radiance_field import RadianceField
@@ -45,10 +45,8 @@ class StochasticDescent:
         self._seed = seed
         self._prior_weight = stage.prior_weight
         self._samples = stage.samples or max(2, 2 * round(PATHS_PER_ITERATION / len(seen.pixels) / 2))
-        weights = pixel_weights(seen.level, seen.standard_error)
-        self._noise = 2 * noise_of(variance_of(seen.level, seen.standard_error), weights) / len(weights)
-        gains = Gains(weights, seen.pixels[:, 0], seen.calibration_errors, self._noise)
-        self._residual = LaggedResidual(seen.radiance, weights, optimizer.image_memory, gains)
+        self._noise = seen.unit
+        self._residual = LaggedResidual(seen.radiance, seen.weights, optimizer.image_memory, seen.gains)
         self._prior = PriorOperator(prior, operator.scene.grid.shape, operator.device)
         self._descent = Descent(optimizer, extinction, mask, operator.device)
         self._field = RadianceField(operator) if optimizer.gradient == "field" else None

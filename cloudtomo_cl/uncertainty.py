@@ -6,13 +6,16 @@ from collections.abc import Callable
 
 import numpy as np
 
+from cloudtomo_cl.objective import curvature_of
+from cloudtomo_cl.prior import SMOOTHNESS_CURVATURE
+
 # Of the conjugate gradients between two looks at the bounds: at most, and the residual relative to the right side
 # at which they end. And how often the bounds are looked at.
 _ITERATIONS = 30
 _TOLERANCE = 1e-2
 _LOOKS = 4
-# Least curvature, of the mean one: voxels that no pixel feels.
-_LEAST_CURVATURE = 1e-3
+# Least curvature in scaling, of the mean one: voxels that no pixel feels.
+LEAST_CURVATURE = 1e-3
 
 
 def roughness(extinction: np.ndarray) -> np.ndarray:
@@ -61,12 +64,8 @@ def standard_errors(
     km^-1, shape (voxels of the mask,)
     """
     random = np.random.default_rng([seed, draws])
-    voxels = jacobian.shape[1]
-    curvature = np.zeros(voxels)
-    block = max(1, (1 << 24) // voxels)
-    for first in range(0, len(jacobian), block):
-        curvature += weights[first : first + block].astype(np.float32) @ jacobian[first : first + block] ** 2
-    scale = 1 / (curvature + smoothness * 27 / 26 + _LEAST_CURVATURE * curvature.mean())
+    curvature = curvature_of(jacobian, weights)
+    scale = 1 / (curvature + smoothness * SMOOTHNESS_CURVATURE + LEAST_CURVATURE * curvature.mean())
 
     def stiffness(column: np.ndarray) -> np.ndarray:
         """A^T A b; A is symmetric."""
@@ -81,7 +80,7 @@ def standard_errors(
         held = np.column_stack([stiffness(column) for column in values.T])
         return jacobian.T @ force.astype(np.float32) + smoothness * held
 
-    right = np.zeros((voxels, draws + 1))  # the last one has no noise
+    right = np.zeros((len(curvature), draws + 1))  # the last one has no noise
     for draw in range(draws):
         force = weights * correct(noise(random))
         of_prior = roughness(random.standard_normal(mask.shape))[mask]

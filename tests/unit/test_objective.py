@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.objective import Gains, LaggedResidual, pixel_weights, relative_weights
 from cloudtomo_cl.seen_pixels import SeenPixels
 from cloudtomo_cl.sensors import OrthographicView
@@ -136,11 +135,6 @@ def test_exact_views_keep_their_residuals(random):
     left = gains(residual, modelled)
     np.testing.assert_array_equal(left[VIEW == 1], residual[VIEW == 1])
     assert (left[VIEW == 2] != residual[VIEW == 2]).all()
-
-
-def test_calibration_errors_without_noise_are_refused():
-    with pytest.raises(DataError, match="standard errors"):
-        Gains(WEIGHTS, VIEW, (0.1,) * 4, 0.0)
 
 
 def test_weights_by_the_level_do_not_favour_pixels_that_are_dark_by_chance(random):
