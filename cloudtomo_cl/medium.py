@@ -31,10 +31,12 @@ class Field:
     ----------
     struct : the kernels' Scene
     extinction : km^-1, array on the device
+    skips_zeros : whether walks skip voxels because their extinction is 0: gradients would miss them
     """
 
     struct: Any
     extinction: Any
+    skips_zeros: bool
     _buffers: tuple[Any, ...]
 
     @property
@@ -107,17 +109,22 @@ class Medium:
 
         Parameters
         ----------
-        extinction : km^-1, shape of the grid; NumPy, or an array on the device, which is not looked into
+        extinction : km^-1, shape of the grid; NumPy, an array on the device, which is not looked into, or
+            what this has returned before
         skips_clear : whether walks may skip the voxels of a NumPy extinction that are 0, where there is no mask
 
         Raises
         ------
         DataError : another shape, a value that is negative, not finite or beyond any cloud's, or
-            above 0 outside of the mask
+            above 0 outside of the mask; a field that skips zeros where that is not allowed
         """
+        if isinstance(extinction, Field):
+            if extinction.skips_zeros and not skips_clear:
+                raise DataError("gradients need clear voxels, which this field skips: give the extinction itself")
+            return extinction
         if tuple(extinction.shape) != self.scene.grid.shape:
             raise DataError(f"extinction has shape {tuple(extinction.shape)}, the grid {self.scene.grid.shape}")
-        clear = self._clear_by_mask
+        clear, skips_zeros = self._clear_by_mask, False
         if isinstance(extinction, self._array.Array):
             beta = extinction
         else:
@@ -128,10 +135,11 @@ class Medium:
                 raise DataError("extinction is above 0 outside of the mask: set it to 0 there, or widen the mask")
             beta = self._array.to_device(self.device.queue, values)
             if clear is None and skips_clear and not self._has_air:
-                clear = self._clear(values > 0)
+                clear, skips_zeros = self._clear(values > 0), True
         return Field(
             self._structs[clear is not None],
             beta,
+            skips_zeros,
             (self._table_row, self._nothing_clear if clear is None else clear, self._profiles),
         )
 

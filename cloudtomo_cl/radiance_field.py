@@ -245,14 +245,12 @@ class RadianceField:
 
     def _radiance(self) -> np.ndarray:
         """Radiance by voxel and direction, sr^-1: its own cell's, as far as it is known."""
-        from scipy.ndimage import uniform_filter
-
         edge = float(np.mean(self._operator.scene.grid.spacing))
         length, brought = self._table[..., 0], self._table[..., 1]
         everywhere = brought.sum(axis=0) / np.maximum(length.sum(axis=0), 1e-30)
         full = np.zeros((*self._mask.shape, BINS * 2), np.float32)
         full[self._mask] = self._table.reshape(self.columns, -1)
-        near = uniform_filter(full, (3, 3, 3, 1), mode="constant")[self._mask].reshape(self.columns, BINS, 2) * 27
+        near = _with_neighbours(full)[self._mask].reshape(self.columns, BINS, 2)
         least = _NEIGHBOUR_CROSSINGS * edge
         neighbours = (near[..., 1] + least * everywhere) / (near[..., 0] + least)
         # A voxel's own brightness, which its neighbours need not have.
@@ -262,6 +260,20 @@ class RadianceField:
         ratio = np.clip((found + level) / (expected + level), 0.05, 10.0)[:, None]
         own = _OWN_CROSSINGS * edge
         return (brought + own * ratio * neighbours) / (length + own)
+
+
+def _with_neighbours(values: np.ndarray) -> np.ndarray:
+    """Sums over a voxel and the 26 around it, shape (x, y, z, ...).
+
+    SciPy's uniform_filter takes twice the time, much of the host's in an iteration.
+    """
+    for axis in range(3):
+        before = np.moveaxis(values, axis, 0)
+        total = before.copy()
+        total[1:] += before[:-1]
+        total[:-1] += before[1:]
+        values = np.moveaxis(total, 0, axis)
+    return values
 
 
 def neighbours(views: Sequence[View], pixels: np.ndarray) -> scipy.sparse.csr_matrix:

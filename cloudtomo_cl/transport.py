@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cloudtomo_cl.audit import Account, Audit, check_replays
+from cloudtomo_cl.audit import Account, Audit, check_replays, combined
 from cloudtomo_cl.device import Device, Pace, choose_device, device_errors
 from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.fixed_point import require_sums
@@ -175,7 +175,7 @@ class RadianceOperator:
 
         Parameters
         ----------
-        extinction : of the droplets, km^-1, shape of the grid; NumPy, or an array on the device
+        extinction : of the droplets, km^-1, shape of the grid; NumPy, an array on the device, or a `field`
         samples : paths per pixel, even
         seed, iteration : together with view, pixel and sample these determine every path
         keep_paths : keep what `gradient` needs (4 bytes per path on the device)
@@ -220,6 +220,10 @@ class RadianceOperator:
             if progress:
                 progress(done)
         return self._rendering(sums, samples, seed, iteration, account, medium, launches)
+
+    def field(self, extinction: Any) -> Field:
+        """An extinction for several renders that keep no paths: looked through and put on the device once."""
+        return self._medium.field(extinction, skips_clear=True)
 
     def of_pixels(self, pixels: np.ndarray) -> RadianceOperator:
         """The same operator for other pixels; see the class."""
@@ -334,13 +338,14 @@ class RadianceOperator:
 
 def pooled(first: Rendering, second: Rendering) -> Rendering:
     """Two renderings of the same pixels with different paths."""
-    share = first.samples / (first.samples + second.samples)
+    share = np.asarray(first.samples / (first.samples + second.samples))
     return replace(
         first,
         mean=share * first.mean + (1 - share) * second.mean,
-        halves=share * first.halves + (1 - share) * second.halves,
+        halves=share[..., None] * first.halves + (1 - share)[..., None] * second.halves,
         standard_error=np.hypot(share * first.standard_error, (1 - share) * second.standard_error),
         samples=first.samples + second.samples,
+        audit=combined([first.audit, second.audit]),
     )
 
 

@@ -113,3 +113,15 @@ def test_extinction_outside_of_the_mask_is_refused(device, sparse):
     operator = RadianceOperator(Scene(GRID, Sun(zenith=0)), [ABOVE], device, mask=np.zeros(GRID.shape, bool))
     with pytest.raises(DataError, match="outside of the mask"):
         operator.render(sparse, 2)
+
+
+def test_an_extinction_put_on_the_device_before_gives_the_same_image(device, sparse):
+    operator = RadianceOperator(Scene(grid=GRID, sun=Sun(zenith=30)), [ABOVE], device)
+    expected = operator.render(sparse, 8, seed=3).mean
+    np.testing.assert_array_equal(operator.render(operator.field(sparse), 8, seed=3).mean, expected)
+
+
+def test_gradients_do_not_take_a_field_that_skips_clear_voxels(device, sparse):
+    operator = RadianceOperator(Scene(grid=GRID, sun=Sun(zenith=30)), [ABOVE], device)
+    with pytest.raises(DataError, match="gradient"):
+        operator.render(operator.field(sparse), 8, keep_paths=True)
