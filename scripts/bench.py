@@ -1,6 +1,6 @@
 """How fast this is, in ratios: one command prints the table.
 
-    python scripts/bench.py                 # everything; some half an hour on two cores
+    python scripts/bench.py                 # everything; some ten minutes on two free cores
     python scripts/bench.py --quick         # fewer repeats and paths: a few minutes
     python scripts/bench.py --rows forward-c overhead
 
