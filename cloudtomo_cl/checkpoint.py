@@ -133,17 +133,20 @@ def identity_of(
     truth: np.ndarray | None,
     seed: int,
 ) -> dict[str, Any]:
-    """All that decides the bits of a reconstruction, in the types of JSON: settings, and digests of arrays."""
+    """All that decides the bits of a reconstruction, in the types of JSON: settings, and digests of arrays.
 
-    def settings(value: Any) -> Any:
-        return _shortened(TypeAdapter(type(value)).dump_python(value, mode="json"))
+    But for the number of iterations of the last stage: a run may go on.
+    """
+
+    def settings(value: Any, *without: str) -> Any:
+        return _shortened(TypeAdapter(type(value)).dump_python(value, mode="json", exclude={*without}))
 
     return {
         "seed": seed,
         "scene": settings(scene),
-        "stage": [settings(stage) for stage in stages],
+        "stage": [*map(settings, stages[:-1]), settings(stages[-1], "iterations")],
         "prior": settings(prior),
-        "optimizer": settings(optimizer),
+        "optimizer": settings(optimizer, "iterations"),
         "view": [settings(view) for view in measurements.views],
         "images": [_digest(image) for image in measurements.images],
         "standard_errors": [_digest(error) for error in measurements.standard_errors],

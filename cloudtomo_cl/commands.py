@@ -113,7 +113,11 @@ def reconstruct(
     truth = None if settings.truth is None else read_truth(settings.truth.file, scene.grid)
     check_views(scene, measurements.views)
     chosen = choose_device(device)
-    stages = settings.stage or automatic_stages(scene.grid, settings.optimizer.type)
+    if settings.stage is not None and settings.optimizer.iterations is not None:
+        raise SettingsError(
+            f"{run}: optimizer.iterations is for automatic stages: give those of each [[stage]], or no [[stage]]"
+        )
+    stages = settings.stage or automatic_stages(scene.grid, settings.optimizer.type, settings.optimizer.iterations)
     check_memory(scene, measurements, stages, chosen)
     given_seed, seed = seed, settings.run.seed if seed is None else seed
     console = Console(quiet=quiet)

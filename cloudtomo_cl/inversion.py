@@ -130,8 +130,8 @@ def reconstruct(
     checkpoint : a file (.npz) that is kept up to date, or a function that takes each checkpoint:
         after the first iteration, at the ends of stages and of the run, and in between
     checkpoint_interval : seconds between checkpoints within a stage
-    resume : a checkpoint of a run with the same arguments, to go on from. The result has the
-        same bits as if the run had never been stopped, but for the history's seconds
+    resume : a checkpoint of a run with the same arguments, to go on from; only the last stage may have more
+        iterations. The result has the same bits as if the run had never been stopped, but for the history's seconds
     stop : asked after every iteration; True ends the run with what it has, checkpoint included
     uncertainty : draws that the standard error is made of, at the end; 0: none. Known with Gauss-Newton,
         when the last stage was reached, the images' noise is known, and nobody asked to stop
@@ -144,7 +144,7 @@ def reconstruct(
     DeviceError : the device failed or has not enough memory
     """
     device, prior, optimizer = device or choose_device(), prior or Prior(), optimizer or Optimizer()
-    stages = tuple(stages or automatic_stages(scene.grid, optimizer.type))
+    stages = tuple(stages or automatic_stages(scene.grid, optimizer.type, optimizer.iterations))
     mask = np.ones(scene.grid.shape, bool) if mask is None else np.asarray(mask, bool)
     for name, array in (("mask", mask), ("truth", truth)):
         if array is not None and array.shape != scene.grid.shape:

@@ -23,7 +23,9 @@ class Optimizer:
     ----------
     type : "gauss-newton" (the derivatives of all pixels are kept and a quadratic model of the cost is
         minimised), "adam" (Kingma and Ba 2015) or "sgd", plain gradient descent. All below but
-        `start` and `floor` is for one of them
+        `iterations`, `start` and `floor` is for one of them
+    iterations : on the finest of the automatic stages, at most; by default 30, of descents 600. A run that
+        has ended goes on with more by `--resume`
     image_samples : Gauss-Newton: paths for the images, times those for the derivatives
     damping : Gauss-Newton: of the first steps, in shares of the data term's own curvature; it halves
         from step to step, down to a tenth
@@ -45,6 +47,7 @@ class Optimizer:
     """
 
     type: Literal["gauss-newton", "adam", "sgd"] = "gauss-newton"
+    iterations: Count | None = None
     image_samples: Annotated[int, Field(ge=0)] = 10
     damping: NotNegative = 0.1
     inner_iterations: Count = 40

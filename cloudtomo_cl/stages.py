@@ -45,12 +45,13 @@ class Stage:
     prior_weight: NotNegative = 1.0
 
 
-def automatic_stages(grid: Grid, method: str = "gauss-newton") -> tuple[Stage, ...]:
+def automatic_stages(grid: Grid, method: str = "gauss-newton", iterations: int | None = None) -> tuple[Stage, ...]:
     """Stages that grow by a factor of about 1.8 from 6 voxels along the longest axis.
 
     An axis with fewer voxels than the longest stays in proportion, but has 4 voxels or all of
     its own. Images have about two pixels per voxel, up to all that were measured. Gauss-Newton
-    (`method`, an `Optimizer.type`) needs few iterations, the descents many.
+    (`method`, an `Optimizer.type`) needs few iterations, the descents many; `iterations` are those
+    of the last stage.
     """
     longest = max(grid.shape)
     count = max(0, round(np.log(longest / _COARSEST) / np.log(_GROWTH))) + 1
@@ -61,11 +62,13 @@ def automatic_stages(grid: Grid, method: str = "gauss-newton") -> tuple[Stage, .
         last = share == shares[-1]
         pixels = min(1.0, 2 * share)
         if method == "gauss-newton":
-            iterations, window = (30, 30) if last else (4, 20)
+            most, window = (30, 30) if last else (4, 20)
         else:
             # The last stage has the details to find, which show little in the cost: it is not given up early.
-            iterations, window = (600, 200) if last else (100, 20)
-        stages.append(Stage(grid=(nx, ny, nz), pixels=pixels, iterations=iterations, window=window))
+            most, window = (600, 200) if last else (100, 20)
+        if last and iterations is not None:
+            most = iterations
+        stages.append(Stage(grid=(nx, ny, nz), pixels=pixels, iterations=most, window=window))
     return tuple(stages)
 
 

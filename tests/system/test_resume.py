@@ -82,6 +82,15 @@ def test_a_run_that_was_stopped_goes_on_from_its_file(problem, device, tmp_path)
     np.testing.assert_array_equal(resumed.extinction, whole.extinction)
 
 
+def test_a_run_that_has_ended_goes_on_with_more_iterations(problem, device):
+    taken = []
+    shorter = (STAGES[0], replace(STAGES[1], iterations=3))
+    assert len(recover(problem, device, stages=shorter, checkpoint=taken.append).history) == 7
+    longer = recover(problem, device, resume=taken[-1])
+    assert len(longer.history) == 9
+    np.testing.assert_array_equal(longer.extinction, recover(problem, device).extinction)
+
+
 def test_seconds_go_on_over_a_resume(problem, device):
     taken = []
     recover(problem, device, checkpoint=taken.append, stop=lambda: True)
@@ -222,7 +231,8 @@ def test_a_finished_run_may_be_resumed(folder):
     [
         ({"--seed": "3"}, "seed is 3, the checkpoint's is 2"),
         ({"toml": ("samples = 8", "samples = 16")}, r"stage[0].samples is 16, the checkpoint's is 8"),
-        ({"overwrite": True}, "give one of them"),
+        ({"more": ["--overwrite"]}, "give one of them"),
+        ({"more": ["--set", "optimizer.iterations=9"]}, "optimizer.iterations is for automatic stages"),
         ({"damage": True}, "checkpoint.npz: is no checkpoint, or damaged"),
     ],
 )
@@ -235,7 +245,7 @@ def test_a_resume_that_cannot_be_touches_nothing(folder, capsys, change, message
         (folder / "run.toml").write_text((folder / "run.toml").read_text().replace(*change["toml"]))
     before = {path: path.read_bytes() for path in (folder / "run").rglob("*") if path.is_file()}
     command = [change.get("--seed", word) if word == "2" else word for word in COMMAND]
-    assert main([*command, "--resume", *(["--overwrite"] if "overwrite" in change else [])]) == 2
+    assert main([*command, "--resume", *change.get("more", [])]) == 2
     assert message in capsys.readouterr().err
     assert {path: path.read_bytes() for path in (folder / "run").rglob("*") if path.is_file()} == before
 

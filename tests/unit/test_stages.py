@@ -24,6 +24,12 @@ def test_descents_have_more_iterations_than_gauss_newton():
     assert all(10 * few.iterations < many.iterations for few, many in zip(newton, adam))
 
 
+def test_iterations_are_those_of_the_last_stage():
+    grid = Grid(shape=(38, 38, 38), spacing=(1, 1, 1))
+    *before, last = automatic_stages(grid, iterations=77)
+    assert last.iterations == 77 and tuple(before) == automatic_stages(grid)[:-1]
+
+
 def test_a_falling_cost_has_not_settled():
     assert not has_settled(np.linspace(10, 5, 40), np.full(40, 0.1), window=20)
 
