@@ -15,6 +15,8 @@ from cloudtomo_cl.transport import RadianceOperator, Rendering, pooled
 # Paths per pixel of an image's pilot. At first the least; then, if many paths will be needed, this share of them, at
 # most the largest number.
 _PILOT_LEAST, _PILOT_SHARE, _PILOT_MOST = 8, 0.025, 64
+# All pixels together have at least so many: a few rays need longer pilots.
+_PILOT_PATHS = 1024
 # Paths of the second image have numbers from here on.
 _SECOND_IMAGE = 1 << 31
 _LEAST_SAMPLES = 2
@@ -149,12 +151,14 @@ def _pilots(
     operator: RadianceOperator, extinction: Any, target: float, seed: int, most_photons: float
 ) -> list[Rendering]:
     """The first paths of every pixel, of both images."""
-    least = [operator.render(extinction, _PILOT_LEAST, seed, first_sample=n * _PILOT_LEAST) for n in range(2)]
+    count, most = len(operator.pixels), most_photons / len(operator.pixels)
+    least = max(_PILOT_LEAST, 2 * int(min(_PILOT_PATHS / count, most / 4) / 2))
+    begun = [operator.render(extinction, least, seed, first_sample=n * least) for n in range(2)]
     # How many paths a pixel will get, in the mean; how many more paths a pilot has must not depend on its own.
-    planned = [min(_samples(operator, pilot, target).mean(), most_photons / len(operator.pixels)) for pilot in least]
-    pilots, first = [], 2 * _PILOT_LEAST
-    for pilot, wanted in zip(least, reversed(planned)):
-        more = 2 * int(min(_PILOT_SHARE * wanted, _PILOT_MOST) / 2) - _PILOT_LEAST
+    planned = [min(_samples(operator, pilot, target).mean(), most) for pilot in begun]
+    pilots, first = [], 2 * least
+    for pilot, wanted in zip(begun, reversed(planned)):
+        more = 2 * int(min(_PILOT_SHARE * wanted, _PILOT_MOST) / 2) - least
         if more > 0:
             pilot = pooled(pilot, operator.render(extinction, more, seed, first_sample=first))
             first += more

@@ -6,7 +6,9 @@ from scenes import ABOVE, CAMERA, SCENES, extinction_of
 
 from cloudtomo_cl.adaptive import relative_error, render_to_error
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.sensors import OrthographicView
+from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.scene import Scene, Sun
+from cloudtomo_cl.sensors import OrthographicView, RayView
 from cloudtomo_cl.transport import RadianceOperator
 
 SCENE = SCENES["forward peak"]
@@ -51,3 +53,12 @@ def test_photons_are_limited_and_counted(operator):
 def test_impossible_targets_are_refused(operator, target):
     with pytest.raises(DataError, match="target_error"):
         render_to_error(operator, extinction_of(SCENE), target)
+
+
+def test_a_ray_through_thin_cloud_is_not_taken_for_dark(device):
+    """Of 2048 paths at an optical depth of 0.01 none collides with a chance of 1e-9."""
+    down = RayView(origins=[(0.05, 0.05, 2.0)], directions=[(0.0, 0.0, -1.0)])
+    grid = Grid(shape=(1, 1, 1), spacing=(0.1, 0.1, 0.1))
+    operator = RadianceOperator(Scene(grid=grid, sun=Sun(zenith=30)), [down], device)
+    rendering = render_to_error(operator, np.full(grid.shape, 0.1), 0.1, seed=1)
+    assert 0.05 < relative_error(operator, rendering)[0] <= 0.1
