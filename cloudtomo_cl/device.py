@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -77,12 +76,19 @@ def device_errors(doing: str) -> Iterator[None]:
         raise DeviceError(f"{doing} failed ({text}): {advice} (`cloudtomo devices` lists them)") from None
 
 
+def kernels_folder() -> Path:
+    """Where the kernels' sources are: in the installed package, or beside it in a checkout."""
+    package = Path(__file__).parent
+    installed = package / "kernels"
+    return installed if installed.is_dir() else package.parent / "kernels"
+
+
 @contextmanager
 def _include_folders() -> Iterator[list[str]]:
     """Where compilers find the headers; copies where a space in the path would confuse them (PoCL's)."""
     import pyopencl
 
-    ours = Path(str(resources.files("cloudtomo_cl.kernels")))
+    ours = kernels_folder()
     # pyopencl adds its own folder to the options, but of a path with a space PoCL makes nothing.
     theirs = Path(pyopencl.__file__).parent / "cl"
     folders = [folder for folder in (ours, theirs) if " " in str(folder)]

@@ -18,12 +18,11 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 
 import pyopencl
 
-from cloudtomo_cl.device import choose_device
+from cloudtomo_cl.device import choose_device, kernels_folder
 from cloudtomo_cl.radiance_field import _FEATURES as FIELD_FEATURES
 
 # File, kernel, macros. The last two show what optional features cost.
@@ -86,7 +85,7 @@ def run(command: list[str]) -> str:
 
 def compile_options(clang: str, source: Path) -> list[str]:
     """Of clang for any GPU, as cloudtomo_cl.device has them."""
-    ours = resources.files("cloudtomo_cl.kernels")
+    ours = kernels_folder()
     theirs = Path(pyopencl.__file__).parent / "cl"
     return [
         clang, "-x", "cl", "-cl-std=CL1.2", "-O3", "-w", "-DCLOUDTOMO_WIDE_ATOMICS", f"-I{ours}", f"-I{theirs}",

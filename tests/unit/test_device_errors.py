@@ -6,7 +6,7 @@ import pyopencl.array
 import pytest
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.device import Device, choose_device, device_errors, list_devices
+from cloudtomo_cl.device import Device, choose_device, device_errors, kernels_folder, list_devices
 from cloudtomo_cl.errors import BuildError, DeviceError
 
 GRID = ct.Grid(shape=(2, 2, 2), spacing=(0.2, 0.2, 0.2))
@@ -155,16 +155,21 @@ def test_no_platform_is_named(monkeypatch):
         choose_device()
 
 
+@pytest.mark.parametrize("where", ["cloudtomo_cl/kernels", "kernels"], ids=["installed", "checkout"])
+def test_kernels_are_found_in_a_package_and_beside_it(monkeypatch, tmp_path, where):
+    (tmp_path / where).mkdir(parents=True)
+    monkeypatch.setattr("cloudtomo_cl.device.__file__", str(tmp_path / "cloudtomo_cl" / "device.py"))
+    assert kernels_folder() == tmp_path / where
+
+
 def test_kernels_build_from_a_folder_with_a_space(monkeypatch, tmp_path):
     """PoCL understands no such path, quoted or not: headers are copied to where it does."""
     import shutil
-    from importlib import resources
-    from pathlib import Path
 
     folder = tmp_path / "a folder with spaces"
-    shutil.copytree(Path(str(resources.files("cloudtomo_cl.kernels"))), folder)
+    shutil.copytree(kernels_folder(), folder)
     (folder / "only_here.h").write_text("#define ONLY_HERE 1\n")
-    monkeypatch.setattr("cloudtomo_cl.device.resources.files", lambda name: folder)
+    monkeypatch.setattr("cloudtomo_cl.device.kernels_folder", lambda: folder)
     device = Device(cl.get_platforms()[0].get_devices()[0])
     device.build('#include "only_here.h"\n#include "rng.h"\n__kernel void f(__global int *a) { a[0] = ONLY_HERE; }')
 
