@@ -192,10 +192,9 @@ def reconstruct(
         folder.close()
     last = result.history[-1]
     where = f"stage {last.stage + 1} of {last.stages}, iteration {last.iteration + 1}"
-    time_limit = settings.run.time_limit
     if stop.signal_number is not None:
         state = f"interrupted in {where}"
-    elif last.stage + 1 < last.stages or (time_limit is not None and last.seconds >= time_limit):
+    elif result.timed_out:
         state = f"stopped by its time limit in {where}"
     else:
         state = "complete"

@@ -78,6 +78,7 @@ class Reconstruction:
     stage_ends : seconds since the start of the run
     standard_error : of the extinction, km^-1, float32, shape of the grid (docs/estimators.md says of what); none
         if it was not asked for, or is not known
+    timed_out : whether its time limit ended it
     """
 
     grid: Grid
@@ -86,6 +87,7 @@ class Reconstruction:
     history: list[IterationRecord]
     stage_ends: list[float]
     standard_error: np.ndarray | None = None
+    timed_out: bool = False
 
     def __repr__(self) -> str:
         text = f"{self.grid.text}, extinction up to {self.extinction.max():.4g} km^-1"
@@ -124,7 +126,8 @@ def reconstruct(
     stages, prior, optimizer : by default `Prior()`, `Optimizer()`, and
         `automatic_stages` for the scene's grid and the optimizer
     mask : bool on the scene's grid, where cloud may be (see `carving.carve`); all by default
-    time_limit : seconds after which the run ends with what it has; those before a resume count
+    time_limit : seconds after which the run ends with what it has, before an iteration that would take longer,
+        if it is as long as the last one; those before a resume count
     truth : extinction in km^-1 on the scene's grid, for the history's errors only
     callback : called after every iteration
     checkpoint : a file (.npz) that is kept up to date, or a function that takes each checkpoint:
@@ -169,10 +172,11 @@ def reconstruct(
     for index in range(first, len(stages)):
         draws = uncertainty if index == len(stages) - 1 else 0
         extinction, error = run.descend(index, extinction, measurements, prior, optimizer, device, draws)
-        if run.is_over:
+        if index + 1 < len(stages) and run.is_over:
             break
     error = None if error is None else run.on_finest_grid(error)
-    return Reconstruction(scene.grid, run.on_finest_grid(extinction), mask, run.history, run.stage_ends, error)
+    extinction = run.on_finest_grid(extinction)
+    return Reconstruction(scene.grid, extinction, mask, run.history, run.stage_ends, error, run.timed_out)
 
 
 def _check_start(scene: Scene, stages: Sequence[Stage], optimizer: Optimizer) -> None:
@@ -232,6 +236,8 @@ class _Run:
         self.checkpoints = Checkpoints(None, 0.0)
         self.resumed: Checkpoint | None = None
         self._stopped = False
+        self.timed_out = False
+        self._iteration_seconds = 0.0  # that the last iteration took
         self.history: list[IterationRecord] = []
         self.stage_ends: list[float] = []
         self.photons = 0
@@ -243,8 +249,11 @@ class _Run:
 
     @property
     def is_over(self) -> bool:
+        """Whether no iteration may follow. Asked only where one would."""
         self._stopped = self._stopped or (self.stop is not None and self.stop())
-        return self._stopped or (self.time_limit is not None and self.seconds >= self.time_limit)
+        if self.time_limit is not None and self.seconds + self._iteration_seconds >= self.time_limit:
+            self.timed_out = True
+        return self._stopped or self.timed_out
 
     def restore(self, checkpoint: Checkpoint) -> int:
         """Goes on from a checkpoint; returns its stage."""
@@ -305,7 +314,7 @@ class _Run:
             if self.history and self.is_over:
                 break
             # Never the same random numbers twice in a run, nor those of a render, which has key 0.
-            where = f"stage {index}, iteration {iteration} (seed {self.seed})"
+            where, begun = f"stage {index}, iteration {iteration} (seed {self.seed})", self.seconds
             progress = method.iterate(len(self.history) + 1, where)
             self._check_step(index, iteration, method.extinction, scene.grid)
             self.photons += progress.photons
@@ -313,6 +322,7 @@ class _Run:
             errors.append(progress.cost_standard_error)
             self._record(index, iteration, progress, method)
             iteration += 1
+            self._iteration_seconds = self.seconds - begun
             self.checkpoints.take(len(self.history) == 1, index, iteration, checkpoint)
         self.checkpoints.take(True, index, iteration, checkpoint)
         self.stage_ends.append(self.seconds)

@@ -7,6 +7,7 @@ import pytest
 
 import cloudtomo_cl as ct
 from cloudtomo_cl.errors import DataError, TransportError
+from cloudtomo_cl.gauss_newton import GaussNewton
 
 STAGES = (
     ct.Stage(grid=(4, 4, 4), pixels=0.5, samples=32, iterations=4),
@@ -64,6 +65,24 @@ def test_the_truth_does_not_help(problem, device):
 def test_a_time_limit_ends_the_run_with_a_result(problem, device):
     result = recover(problem, device, time_limit=1e-6)
     assert len(result.history) == 1 and np.isfinite(result.extinction).all()
+
+
+@pytest.mark.parametrize(("time_limit", "iterations"), [(25.0, 2), (30.0, 2), (31.0, 3), (41.0, 3)])
+def test_no_iteration_begins_that_would_end_after_the_time_limit(
+    problem, device, monkeypatch, time_limit, iterations
+):
+    clock, iterate = [0.0], GaussNewton.iterate
+
+    def of_ten_seconds(*arguments):
+        clock[0] += 10.0
+        return iterate(*arguments)
+
+    monkeypatch.setattr(GaussNewton, "iterate", of_ten_seconds)
+    monkeypatch.setattr("cloudtomo_cl.inversion._Run.seconds", property(lambda run: clock[0]))
+    stages = [replace(STAGES[0], iterations=3)]
+    result = recover(problem, device, stages=stages, time_limit=time_limit)
+    assert len(result.history) == iterations
+    assert result.timed_out == (iterations < 3)
 
 
 @pytest.mark.parametrize("method", ["gauss-newton", "adam"])
