@@ -221,8 +221,12 @@ class RadianceOperator:
                 progress(done)
         return self._rendering(sums, samples, seed, iteration, account, medium, launches)
 
+    @device_errors("putting the extinction on the device")
     def field(self, extinction: Any) -> Field:
-        """An extinction for several renders that keep no paths: looked through and put on the device once."""
+        """An extinction for several renders that keep no paths: looked through and put on the device once.
+
+        Raises DataError as `render`.
+        """
         return self._medium.field(extinction, skips_clear=True)
 
     def of_pixels(self, pixels: np.ndarray) -> RadianceOperator:
