@@ -28,7 +28,7 @@ from cloudtomo_cl.prior import Prior
 from cloudtomo_cl.scene import Scene
 from cloudtomo_cl.stages import Stage
 
-FORMAT = 1
+FORMAT = 2
 _DIGEST = "sha256:"
 # Lists longer than this are kept as a digest.
 _LONG = 32
@@ -135,7 +135,7 @@ def identity_of(
 ) -> dict[str, Any]:
     """All that decides the bits of a reconstruction, in the types of JSON: settings, and digests of arrays.
 
-    But for the number of iterations of the last stage: a run may go on.
+    But for the number of iterations of the last stage: a run that has not settled may go on.
     """
 
     def settings(value: Any, *without: str) -> Any:

@@ -27,7 +27,6 @@ from cloudtomo_cl.render_command import render as render
 from cloudtomo_cl.report_command import read_truth
 from cloudtomo_cl.report_command import report as report
 from cloudtomo_cl.scene import Scene
-from cloudtomo_cl.stages import automatic_stages
 from cloudtomo_cl.transport import RadianceOperator
 from cloudtomo_cl.validate_command import validate as validate
 
@@ -85,7 +84,7 @@ def reconstruct(
         stored_scene,
         views,
     )
-    from cloudtomo_cl.inversion import IterationRecord, check_memory, records
+    from cloudtomo_cl.inversion import IterationRecord, check_memory, records, stages_of
     from cloudtomo_cl.inversion import reconstruct as recover
     from cloudtomo_cl.progress import ReconstructionProgress, duration
     from cloudtomo_cl.runfolder import RunFolder
@@ -113,11 +112,7 @@ def reconstruct(
     truth = None if settings.truth is None else read_truth(settings.truth.file, scene.grid)
     check_views(scene, measurements.views)
     chosen = choose_device(device)
-    if settings.stage is not None and settings.optimizer.iterations is not None:
-        raise SettingsError(
-            f"{run}: optimizer.iterations is for automatic stages: give those of each [[stage]], or no [[stage]]"
-        )
-    stages = settings.stage or automatic_stages(scene.grid, settings.optimizer.type, settings.optimizer.iterations)
+    stages = stages_of(scene.grid, settings.stage, settings.optimizer)
     check_memory(scene, measurements, stages, chosen)
     given_seed, seed = seed, settings.run.seed if seed is None else seed
     console = Console(quiet=quiet)
@@ -168,7 +163,7 @@ def reconstruct(
             result = recover(
                 scene,
                 measurements,
-                stages,
+                settings.stage,
                 settings.prior,
                 settings.optimizer,
                 mask=mask,

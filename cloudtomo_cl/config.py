@@ -160,7 +160,8 @@ class Run:
     Attributes
     ----------
     seed : of the random numbers
-    time_limit : s, over all resumes; no iteration begins that would end later. No limit by default
+    time_limit : s, over all resumes; no iteration begins that would end later if it is as long as the
+        last one. No limit by default
     checkpoint_interval : s between checkpoints within a stage; more, where the disk is slow
     uncertainty : draws that the standard error of the extinction is made of, at the end (Gauss-Newton only); 0: none.
         They take about as long as an iteration or two, whatever the time limit

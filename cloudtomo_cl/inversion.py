@@ -133,8 +133,9 @@ def reconstruct(
     checkpoint : a file (.npz) that is kept up to date, or a function that takes each checkpoint:
         after the first iteration, at the ends of stages and of the run, and in between
     checkpoint_interval : seconds between checkpoints within a stage
-    resume : a checkpoint of a run with the same arguments, to go on from; only the last stage may have more
-        iterations. The result has the same bits as if the run had never been stopped, but for the history's seconds
+    resume : a checkpoint of a run with the same arguments, to go on from. The result has the same bits as if the
+        run had never been stopped, but for the history's seconds. Only the last stage may have more iterations: they
+        are done unless its cost has settled; with fewer than were done already nothing more is
     stop : asked after every iteration; True ends the run with what it has, checkpoint included
     uncertainty : draws that the standard error is made of, at the end; 0: none. Known with Gauss-Newton,
         when the last stage was reached, the images' noise is known, and nobody asked to stop
@@ -147,7 +148,7 @@ def reconstruct(
     DeviceError : the device failed or has not enough memory
     """
     device, prior, optimizer = device or choose_device(), prior or Prior(), optimizer or Optimizer()
-    stages = tuple(stages or automatic_stages(scene.grid, optimizer.type, optimizer.iterations))
+    stages = stages_of(scene.grid, stages, optimizer)
     mask = np.ones(scene.grid.shape, bool) if mask is None else np.asarray(mask, bool)
     for name, array in (("mask", mask), ("truth", truth)):
         if array is not None and array.shape != scene.grid.shape:
@@ -177,6 +178,13 @@ def reconstruct(
     error = None if error is None else run.on_finest_grid(error)
     extinction = run.on_finest_grid(extinction)
     return Reconstruction(scene.grid, extinction, mask, run.history, run.stage_ends, error, run.timed_out)
+
+
+def stages_of(grid: Grid, stages: Sequence[Stage] | None, optimizer: Optimizer) -> tuple[Stage, ...]:
+    """Those given, or automatic ones. DataError if it is not clear which iterations count."""
+    if stages and optimizer.iterations is not None:
+        raise DataError("optimizer.iterations is for automatic stages: give those of each [[stage]], or no [[stage]]")
+    return tuple(stages or automatic_stages(grid, optimizer.type, optimizer.iterations))
 
 
 def _check_start(scene: Scene, stages: Sequence[Stage], optimizer: Optimizer) -> None:
@@ -263,6 +271,8 @@ class _Run:
         self.stage_ends = list(checkpoint.stage_ends)
         self.photons = self.history[-1].photons if self.history else 0
         self.start = time.perf_counter() - checkpoint.seconds
+        if len(self.history) > 1:
+            self._iteration_seconds = self.history[-1].seconds - self.history[-2].seconds
         return checkpoint.stage
 
     def on_finest_grid(self, extinction: np.ndarray) -> np.ndarray:

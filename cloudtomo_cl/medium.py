@@ -37,6 +37,7 @@ class Field:
     struct: Any
     extinction: Any
     skips_zeros: bool
+    _medium: Medium
     _buffers: tuple[Any, ...]
 
     @property
@@ -116,9 +117,12 @@ class Medium:
         Raises
         ------
         DataError : another shape, a value that is negative, not finite or beyond any cloud's, or
-            above 0 outside of the mask; a field that skips zeros where that is not allowed
+            above 0 outside of the mask; a field of another medium, or one that skips zeros where
+            gradients are wanted
         """
         if isinstance(extinction, Field):
+            if extinction._medium is not self:
+                raise DataError("this field is of another scene, estimator or mask: give the extinction itself")
             if extinction.skips_zeros and not skips_clear:
                 raise DataError("gradients need clear voxels, which this field skips: give the extinction itself")
             return extinction
@@ -140,6 +144,7 @@ class Medium:
             self._structs[clear is not None],
             beta,
             skips_zeros,
+            self,
             (self._table_row, self._nothing_clear if clear is None else clear, self._profiles),
         )
 

@@ -25,7 +25,7 @@ class Optimizer:
         minimised), "adam" (Kingma and Ba 2015) or "sgd", plain gradient descent. All below but
         `iterations`, `start` and `floor` is for one of them
     iterations : on the finest of the automatic stages, at most; by default 30, of descents 600. A run that
-        has ended goes on with more by `--resume`
+        has done them goes on with more by `--resume`, unless its cost has settled
     image_samples : Gauss-Newton: paths for the images, times those for the derivatives
     damping : Gauss-Newton: of the first steps, in shares of the data term's own curvature; it halves
         from step to step, down to a tenth

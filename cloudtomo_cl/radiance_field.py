@@ -248,11 +248,13 @@ class RadianceField:
         edge = float(np.mean(self._operator.scene.grid.spacing))
         length, brought = self._table[..., 0], self._table[..., 1]
         everywhere = brought.sum(axis=0) / np.maximum(length.sum(axis=0), 1e-30)
-        full = np.zeros((*self._mask.shape, BINS * 2), np.float32)
-        full[self._mask] = self._table.reshape(self.columns, -1)
-        near = _with_neighbours(full)[self._mask].reshape(self.columns, BINS, 2)
+        near = []
+        for values in (length, brought):  # one after the other, for the sake of memory
+            full = np.zeros((*self._mask.shape, BINS), np.float32)
+            full[self._mask] = values
+            near.append(_with_neighbours(full)[self._mask])
         least = _NEIGHBOUR_CROSSINGS * edge
-        neighbours = (near[..., 1] + least * everywhere) / (near[..., 0] + least)
+        neighbours = (near[1] + least * everywhere) / (near[0] + least)
         # A voxel's own brightness, which its neighbours need not have.
         expected, found = (length * neighbours).sum(axis=1), brought.sum(axis=1)
         lit = expected[expected > 0]

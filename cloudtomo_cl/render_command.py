@@ -102,7 +102,7 @@ def render(
             line += f", {(~valid).sum()} saturated" if not valid.all() else ""
         console.print(line, highlight=False, soft_wrap=True)
     if target_error is not None and relative.max() > target_error:
-        console.print(f"the target of {target_error:.2%} needs more than {samples} photons per pixel", soft_wrap=True)
+        console.print(f"the target of {target_error:.2%} needs more photons than these", soft_wrap=True)
     console.print(f"{photons:.3g} photons in {progress.duration(seconds)} on {chosen.name}: {output}", soft_wrap=True)
     if png is not None:
         from cloudtomo_cl.plots import radiance_limit, save_previews

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cloudtomo_cl.audit import Account, Audit, check_replays, combined
+from cloudtomo_cl.audit import Account, Audit, check_replays
 from cloudtomo_cl.device import Device, Pace, choose_device, device_errors
 from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.fixed_point import require_sums
@@ -342,14 +342,13 @@ class RadianceOperator:
 
 def pooled(first: Rendering, second: Rendering) -> Rendering:
     """Two renderings of the same pixels with different paths."""
-    share = np.asarray(first.samples / (first.samples + second.samples))
+    share = first.samples / (first.samples + second.samples)
     return replace(
         first,
         mean=share * first.mean + (1 - share) * second.mean,
-        halves=share[..., None] * first.halves + (1 - share)[..., None] * second.halves,
+        halves=share * first.halves + (1 - share) * second.halves,
         standard_error=np.hypot(share * first.standard_error, (1 - share) * second.standard_error),
         samples=first.samples + second.samples,
-        audit=combined([first.audit, second.audit]),
     )
 
 
