@@ -162,8 +162,10 @@ def _matlab_array(path: Path, options: ReadingOptions) -> np.ndarray:
 
     try:
         content = loadmat(path)
-    except (NotImplementedError, ValueError, OSError):
-        raise DataError(f"{path}: MATLAB's format 7.3 or damaged: save it with save(..., '-v7')") from None
+    except NotImplementedError:  # SciPy reads formats up to 7 only
+        raise DataError(f"{path}: is in MATLAB's format 7.3: save it with save(..., '-v7')") from None
+    except Exception as error:  # what a damaged file may raise has no end
+        raise DataError(f"{path}: cannot be read as a MATLAB file ({error}): is it damaged or cut short?") from None
     arrays = {name: value for name, value in content.items() if isinstance(value, np.ndarray) and value.ndim == 3}
     if options.variable is not None:
         arrays = {name: value for name, value in arrays.items() if name == options.variable}

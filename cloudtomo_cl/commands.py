@@ -27,6 +27,7 @@ from cloudtomo_cl.render_command import render as render
 from cloudtomo_cl.report_command import read_truth
 from cloudtomo_cl.report_command import report as report
 from cloudtomo_cl.scene import Scene
+from cloudtomo_cl.stages import stages_of
 from cloudtomo_cl.transport import RadianceOperator
 from cloudtomo_cl.validate_command import validate as validate
 
@@ -84,7 +85,7 @@ def reconstruct(
         stored_scene,
         views,
     )
-    from cloudtomo_cl.inversion import IterationRecord, check_memory, records, stages_of
+    from cloudtomo_cl.inversion import IterationRecord, check_memory, records
     from cloudtomo_cl.inversion import reconstruct as recover
     from cloudtomo_cl.progress import ReconstructionProgress, duration
     from cloudtomo_cl.runfolder import RunFolder

@@ -25,7 +25,7 @@ from cloudtomo_cl.optimizer import Optimizer
 from cloudtomo_cl.prior import Prior
 from cloudtomo_cl.scene import Scene
 from cloudtomo_cl.seen_pixels import seen_pixels
-from cloudtomo_cl.stages import Stage, automatic_stages, has_settled
+from cloudtomo_cl.stages import Stage, has_settled, stages_of
 from cloudtomo_cl.stochastic_descent import PATHS_PER_ITERATION, StochasticDescent
 from cloudtomo_cl.transport import RadianceOperator
 
@@ -180,13 +180,6 @@ def reconstruct(
     return Reconstruction(scene.grid, extinction, mask, run.history, run.stage_ends, error, run.timed_out)
 
 
-def stages_of(grid: Grid, stages: Sequence[Stage] | None, optimizer: Optimizer) -> tuple[Stage, ...]:
-    """Those given, or automatic ones. DataError if it is not clear which iterations count."""
-    if stages and optimizer.iterations is not None:
-        raise DataError("optimizer.iterations is for automatic stages: give those of each [[stage]], or no [[stage]]")
-    return tuple(stages or automatic_stages(grid, optimizer.type, optimizer.iterations))
-
-
 def _check_start(scene: Scene, stages: Sequence[Stage], optimizer: Optimizer) -> None:
     """DataError if the first render would be of something that light never leaves."""
     edge = max(max(scene.grid.with_shape(stage.grid).spacing) for stage in stages)
@@ -245,7 +238,6 @@ class _Run:
         self.resumed: Checkpoint | None = None
         self._stopped = False
         self.timed_out = False
-        self._iteration_seconds = 0.0  # that the last iteration took
         self.history: list[IterationRecord] = []
         self.stage_ends: list[float] = []
         self.photons = 0
@@ -259,7 +251,8 @@ class _Run:
     def is_over(self) -> bool:
         """Whether no iteration may follow. Asked only where one would."""
         self._stopped = self._stopped or (self.stop is not None and self.stop())
-        if self.time_limit is not None and self.seconds + self._iteration_seconds >= self.time_limit:
+        last = self.history[-1].seconds - self.history[-2].seconds if len(self.history) > 1 else 0.0
+        if self.time_limit is not None and self.seconds + last >= self.time_limit:
             self.timed_out = True
         return self._stopped or self.timed_out
 
@@ -271,8 +264,6 @@ class _Run:
         self.stage_ends = list(checkpoint.stage_ends)
         self.photons = self.history[-1].photons if self.history else 0
         self.start = time.perf_counter() - checkpoint.seconds
-        if len(self.history) > 1:
-            self._iteration_seconds = self.history[-1].seconds - self.history[-2].seconds
         return checkpoint.stage
 
     def on_finest_grid(self, extinction: np.ndarray) -> np.ndarray:
@@ -324,7 +315,7 @@ class _Run:
             if self.history and self.is_over:
                 break
             # Never the same random numbers twice in a run, nor those of a render, which has key 0.
-            where, begun = f"stage {index}, iteration {iteration} (seed {self.seed})", self.seconds
+            where = f"stage {index}, iteration {iteration} (seed {self.seed})"
             progress = method.iterate(len(self.history) + 1, where)
             self._check_step(index, iteration, method.extinction, scene.grid)
             self.photons += progress.photons
@@ -332,7 +323,6 @@ class _Run:
             errors.append(progress.cost_standard_error)
             self._record(index, iteration, progress, method)
             iteration += 1
-            self._iteration_seconds = self.seconds - begun
             self.checkpoints.take(len(self.history) == 1, index, iteration, checkpoint)
         self.checkpoints.take(True, index, iteration, checkpoint)
         self.stage_ends.append(self.seconds)

@@ -9,7 +9,9 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.grid import Count, Grid
+from cloudtomo_cl.optimizer import Optimizer
 from cloudtomo_cl.scene import NotNegative
 
 # Voxels along the longest axis of the first stage, and how fast they grow.
@@ -70,6 +72,13 @@ def automatic_stages(grid: Grid, method: str = "gauss-newton", iterations: int |
             most = iterations
         stages.append(Stage(grid=(nx, ny, nz), pixels=pixels, iterations=most, window=window))
     return tuple(stages)
+
+
+def stages_of(grid: Grid, stages: Sequence[Stage] | None, optimizer: Optimizer) -> tuple[Stage, ...]:
+    """Those given, or automatic ones. DataError if it is not clear which iterations count."""
+    if stages and optimizer.iterations is not None:
+        raise DataError("optimizer.iterations is for automatic stages: give those of each [[stage]], or no [[stage]]")
+    return tuple(stages or automatic_stages(grid, optimizer.type, optimizer.iterations))
 
 
 def has_settled(costs: Sequence[float], standard_errors: Sequence[float], window: int) -> bool:

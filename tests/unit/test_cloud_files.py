@@ -251,3 +251,21 @@ def test_a_mie_table_takes_the_place_of_the_limit(tmp_path):
     cloud = read_cloud(tmp_path / "cloud.txt", ReadingOptions(droplet_table=tmp_path / "table.nc"))
     ratio = cloud.extinction[0, 1, 0] / expected()[0, 1, 0]
     assert ratio == pytest.approx(np.interp(10.0, (5, 25), efficiency) / 2, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        # The header of MATLAB's format 7.3: 124 bytes of text and place, version 0x0200, the mark of the byte order.
+        (b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM", "format 7.3"),
+        # Format 5 with a compressed array of 64 bytes, which is none.
+        (b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM\x0f\0\0\0\x40\0\0\0spoilt", "damaged or cut short"),
+        (b"", "damaged or cut short"),
+    ],
+    ids=["7.3", "spoilt", "empty"],
+)  # fmt: skip
+def test_matlab_files_that_cannot_be_read_say_why(tmp_path, content, message):
+    path = tmp_path / "cloud.mat"
+    path.write_bytes(content)
+    with pytest.raises(DataError, match=message):
+        read_cloud(path, ReadingOptions(spacing=(0.1, 0.1, 0.1)))
