@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from cloudtomo_cl import io
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.measurements import Measurements
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
+from cloudtomo_cl.files import io
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
 
 GRID = Grid(shape=(3, 4, 5), spacing=(0.02, 0.02, 0.04))
 
@@ -366,5 +366,5 @@ def test_a_variable_says_which_pixels_are_valid(tmp_path):
 
 
 def test_the_package_imports_without_xarray():
-    code = "import sys, cloudtomo_cl.io; sys.exit('xarray' in sys.modules or 'netCDF4' in sys.modules)"
+    code = "import sys, cloudtomo_cl.files.io; sys.exit('xarray' in sys.modules or 'netCDF4' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
