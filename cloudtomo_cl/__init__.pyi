@@ -4,13 +4,11 @@ from .clouds.mie import droplet_table
 from .clouds.readers import ReadingOptions, read_cloud
 from .clouds.volume import CloudVolume
 from .errors import CloudtomoError
-from .files.io import (
-    extinction_dataset,
+from .files.extinction import extinction_dataset, read_extinction, write_extinction
+from .files.measurements import (
     measurements_dataset,
-    read_extinction,
     read_measurements,
     read_rays,
-    write_extinction,
     write_measurements,
     write_rays,
 )

@@ -330,7 +330,7 @@ class Bench:
     def prepare(self) -> None:
         import numpy as np
 
-        from cloudtomo_cl.files.io import write_extinction
+        from cloudtomo_cl.files.extinction import write_extinction
         from cloudtomo_cl.scene.grid import Grid
 
         self.template.mkdir()
@@ -391,7 +391,7 @@ class Bench:
             changed = sorted(name for name in {*before, *after} if before.get(name) != after.get(name))
             return f"failed, but changed {changed}"
         if status == 0 and "new.nc" in after and command[0] == "cloud":
-            from cloudtomo_cl.files.io import read_extinction
+            from cloudtomo_cl.files.extinction import read_extinction
 
             read_extinction("new.nc")
         return ""

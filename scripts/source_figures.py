@@ -16,8 +16,8 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from cloudtomo_cl.commands.run_folder import RunFolder
-from cloudtomo_cl.files.io import read_extinction, read_measurements
-from cloudtomo_cl.inversion.carving import coarsened
+from cloudtomo_cl.files.extinction import read_extinction
+from cloudtomo_cl.files.measurements import read_measurements
 from cloudtomo_cl.inversion.pixels import seen_pixels
 from cloudtomo_cl.inversion.stages import Stage, automatic_stages
 from cloudtomo_cl.report.plots import (
@@ -30,7 +30,7 @@ from cloudtomo_cl.report.plots import (
     radiance_limit,
     save_figures,
 )
-from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.grid import Grid, coarsened
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.metrics import delta, epsilon
 

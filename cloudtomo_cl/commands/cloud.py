@@ -81,7 +81,7 @@ def cloud(
     **reading: Any,
 ) -> None:
     """Runs the command; `reading` are the fields of `ReadingOptions`."""
-    from cloudtomo_cl.files.io import check_output
+    from cloudtomo_cl.files.netcdf import check_output
 
     if (file is None) == (generate is None):
         raise SettingsError("give either FILE, or --generate cumulus (or field, tower, stratocumulus)")
@@ -194,7 +194,7 @@ def _pairs(option: str, words: list[str], number: Any, absent: tuple[Any, Any]) 
 
 def _write(output: Path, volume: CloudVolume, made: dict[str, Any]) -> None:
     from cloudtomo_cl.commands.provenance import source, versions
-    from cloudtomo_cl.files.io import write_extinction
+    from cloudtomo_cl.files.extinction import write_extinction
 
     attributes = {"source": source(), "settings": made, "versions": versions()}
     write_extinction(output, volume.grid, volume.extinction, attributes, volume.effective_radius)

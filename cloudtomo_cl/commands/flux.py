@@ -11,7 +11,8 @@ import numpy as np
 from rich.console import Console
 
 from cloudtomo_cl.commands.provenance import describe_device, source, versions
-from cloudtomo_cl.files.io import check_output, extinction_dataset, is_netcdf, save_dataset
+from cloudtomo_cl.files.extinction import extinction_dataset
+from cloudtomo_cl.files.netcdf import check_output, is_netcdf, save_dataset
 from cloudtomo_cl.opencl.device import choose_device
 from cloudtomo_cl.scene.scene import Scene
 
@@ -40,7 +41,7 @@ def flux(
 ) -> None:
     """Computes the fluxes of a scene file, or of the scene of a file of fluxes or images, column by column."""
     from cloudtomo_cl.commands import progress
-    from cloudtomo_cl.settings.tables import stored_scene
+    from cloudtomo_cl.settings.stored import stored_scene
     from cloudtomo_cl.transport.flux import FluxOperator
 
     if output is not None:
@@ -89,8 +90,8 @@ def _to_compute(
     path: Path, overrides: Sequence[str]
 ) -> tuple[Scene, np.ndarray, np.ndarray | None, dict[str, Any]]:
     """Scene, extinction, effective radius and settings, of a scene file or of a file that keeps them."""
-    from cloudtomo_cl.commands.render import kept_scene
-    from cloudtomo_cl.files.io import read_effective_radius, read_extinction
+    from cloudtomo_cl.files.extinction import read_effective_radius, read_extinction
+    from cloudtomo_cl.settings.stored import kept_scene
     from cloudtomo_cl.settings.tables import read_flux_settings
 
     if is_netcdf(path):

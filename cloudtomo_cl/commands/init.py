@@ -113,7 +113,7 @@ def init(
     overwrite: bool,
 ) -> None:
     """Writes a settings file."""
-    from cloudtomo_cl.files.io import check_output
+    from cloudtomo_cl.files.netcdf import check_output
 
     if kind == "render" and (measurements is not None or truth is not None):
         raise SettingsError("--measurements and --truth belong to `cloudtomo init reconstruct`")

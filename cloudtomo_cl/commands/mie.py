@@ -66,7 +66,7 @@ def mie(
     from cloudtomo_cl.clouds.mie import droplet_table
     from cloudtomo_cl.commands import progress
     from cloudtomo_cl.commands.provenance import source, versions
-    from cloudtomo_cl.files.io import check_output
+    from cloudtomo_cl.files.netcdf import check_output
     from cloudtomo_cl.files.phase import write_phase_function
 
     check_output(output, overwrite)

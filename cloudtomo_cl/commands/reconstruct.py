@@ -19,16 +19,16 @@ from cloudtomo_cl.commands.init import init as init
 from cloudtomo_cl.commands.mie import mie as mie
 from cloudtomo_cl.commands.provenance import describe_device, source, versions
 from cloudtomo_cl.commands.render import render as render
-from cloudtomo_cl.commands.report import read_truth
 from cloudtomo_cl.commands.report import report as report
 from cloudtomo_cl.commands.validate import validate as validate
 from cloudtomo_cl.errors import DataError, DeviceError, Interrupted, SettingsError
-from cloudtomo_cl.files.io import is_netcdf
-from cloudtomo_cl.inversion.carving import check_views
+from cloudtomo_cl.files.netcdf import is_netcdf
+from cloudtomo_cl.files.truth import read_truth
 from cloudtomo_cl.inversion.stages import stages_of
 from cloudtomo_cl.opencl.device import Device, choose_device, list_devices
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.scene.visibility import check_views
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
 if TYPE_CHECKING:
@@ -83,11 +83,11 @@ def reconstruct(
     from cloudtomo_cl.commands.stopping import StopRequest, exit_status
     from cloudtomo_cl.inversion.reconstruct import IterationRecord, check_memory, records
     from cloudtomo_cl.inversion.reconstruct import reconstruct as recover
+    from cloudtomo_cl.settings.stored import stored_scene
     from cloudtomo_cl.settings.tables import (
         ReconstructSettings,
         read_reconstruct_settings,
         repeated_reconstruct_settings,
-        stored_scene,
         views,
     )
 
@@ -262,8 +262,8 @@ def _write_modelled(
     iteration: int,
 ) -> None:
     """What the recovered cloud looks like from the measured views, for the report to compare with."""
-    from cloudtomo_cl.files.io import write_measurements
-    from cloudtomo_cl.settings.tables import stored_scene
+    from cloudtomo_cl.files.measurements import write_measurements
+    from cloudtomo_cl.settings.stored import stored_scene
 
     operator = RadianceOperator(scene, measurements.views, device)
     samples = max(_FEWEST_MODELLED_SAMPLES, 2 * round(_MODELLED_PATHS / len(operator.pixels) / 2))
@@ -296,7 +296,7 @@ def _carve(scene: Scene, measurements: Measurements, device: Device) -> np.ndarr
 
 def _read_measurements(path: Path) -> tuple[Measurements, dict[str, Any]]:
     """Images, and the settings they were made with; images from elsewhere have none."""
-    from cloudtomo_cl.files.io import read_measurements, read_settings
+    from cloudtomo_cl.files.measurements import read_measurements, read_settings
 
     measurements = read_measurements(path)
     try:

@@ -11,13 +11,13 @@ import numpy as np
 from rich.console import Console
 
 from cloudtomo_cl.commands.provenance import describe_device, source, versions
-from cloudtomo_cl.errors import DataError, SettingsError
-from cloudtomo_cl.files.io import check_output, is_netcdf
-from cloudtomo_cl.inversion.carving import check_views
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.files.netcdf import check_output, is_netcdf
 from cloudtomo_cl.opencl.device import choose_device
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.sensors import View
+from cloudtomo_cl.scene.visibility import check_views
 
 _DEFAULT_SAMPLES = 256
 
@@ -36,8 +36,8 @@ def render(
 ) -> None:
     """Renders a scene file, or images again, into a file of measurements."""
     from cloudtomo_cl.commands import progress
-    from cloudtomo_cl.files.io import write_measurements
-    from cloudtomo_cl.settings.tables import noise_of_table, stored_noise, stored_scene
+    from cloudtomo_cl.files.measurements import write_measurements
+    from cloudtomo_cl.settings.stored import noise_of_table, stored_noise, stored_scene
     from cloudtomo_cl.transport.adaptive import relative_error, render_to_error
     from cloudtomo_cl.transport.radiance import RadianceOperator
 
@@ -116,7 +116,9 @@ def _to_render(
     path: Path, overrides: Sequence[str]
 ) -> tuple[Scene, tuple[View, ...], np.ndarray, np.ndarray | None, dict[str, Any]]:
     """Scene, views, extinction, effective radius and settings, of a scene file or of images rendered before."""
-    from cloudtomo_cl.files.io import read_effective_radius, read_extinction, read_measurements
+    from cloudtomo_cl.files.extinction import read_effective_radius, read_extinction
+    from cloudtomo_cl.files.measurements import read_measurements
+    from cloudtomo_cl.settings.stored import kept_scene
     from cloudtomo_cl.settings.tables import read_render_settings, views
 
     if not is_netcdf(path):
@@ -132,19 +134,3 @@ def _to_render(
         )
     described, extinction, radius, stored = kept_scene(path, overrides)
     return described, read_measurements(path).views, extinction, radius, stored
-
-
-def kept_scene(
-    path: Path, overrides: Sequence[str]
-) -> tuple[Scene, np.ndarray, np.ndarray | None, dict[str, Any]]:
-    """Scene, extinction, effective radius and settings that a file of images or fluxes keeps."""
-    from cloudtomo_cl.files.io import read_effective_radius, read_extinction, read_settings
-    from cloudtomo_cl.settings.overrides import with_overrides
-    from cloudtomo_cl.settings.tables import scene_of_tables
-
-    stored = read_settings(path)
-    if not isinstance(stored.get("scene"), dict):
-        raise SettingsError(f"{path}: keeps no scene to render again: give a scene file, or images of cloudtomo render")
-    described = scene_of_tables(path, with_overrides(stored["scene"], overrides))
-    _, extinction = read_extinction(path)
-    return described, extinction, read_effective_radius(path), {"cloud_file": path.name, **stored}

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cloudtomo_cl.errors import DataError, SettingsError
+from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.scene.grid import Grid
 
 # Extinction of voxels that hold cloud, km^-1.
@@ -19,7 +19,9 @@ def report(folder: Path, quiet: bool) -> None:
     """Makes figures/*.png, figures/*.pdf and report.html."""
     from cloudtomo_cl.commands.provenance import source
     from cloudtomo_cl.commands.run_folder import RunFolder
-    from cloudtomo_cl.files.io import load_dataset, read_measurements
+    from cloudtomo_cl.files.measurements import read_measurements
+    from cloudtomo_cl.files.netcdf import load_dataset
+    from cloudtomo_cl.files.truth import read_truth
     from cloudtomo_cl.files.whole import written_whole
     from cloudtomo_cl.report.page import report_page
     from cloudtomo_cl.report.plots import run_figures, save_figures
@@ -90,20 +92,6 @@ def _numbers(
     if isinstance(device, dict) and "name" in device:
         numbers["device"] = str(device["name"])
     return numbers
-
-
-def read_truth(path: Path, grid: Grid) -> np.ndarray:
-    """A known cloud on the grid of a reconstruction. SettingsError if it lies on another grid."""
-    from cloudtomo_cl.files.io import read_extinction
-
-    grid_of_truth, truth = read_extinction(path)
-    same = grid_of_truth.shape == grid.shape and all(
-        np.allclose(getattr(grid_of_truth, name), getattr(grid, name), rtol=1e-5, atol=1e-6)
-        for name in ("spacing", "origin")
-    )
-    if not same:
-        raise SettingsError(f"truth.file: {path} lies on {grid_of_truth}, the reconstruction on {grid}: use one grid")
-    return truth
 
 
 def _if_there(path: Path, read: Any) -> Any:

@@ -23,7 +23,8 @@ from typing import TYPE_CHECKING, Any, TextIO
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.files.io import read_extinction, write_extinction, write_measurements
+from cloudtomo_cl.files.extinction import read_extinction, write_extinction
+from cloudtomo_cl.files.measurements import write_measurements
 from cloudtomo_cl.files.whole import written_whole
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, read_checkpoint
 from cloudtomo_cl.scene.grid import Grid

@@ -78,7 +78,7 @@ def validate(
     from cloudtomo_cl.commands.progress import duration
     from cloudtomo_cl.commands.provenance import describe_device, source
     from cloudtomo_cl.files import i3rc
-    from cloudtomo_cl.files.io import check_output
+    from cloudtomo_cl.files.netcdf import check_output
     from cloudtomo_cl.files.whole import written_whole
     from cloudtomo_cl.opencl.device import choose_device
 

@@ -8,12 +8,12 @@ from functools import cached_property
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.inversion.carving import pixels_that_see
 from cloudtomo_cl.inversion.objective import Gains, noise_of, pixel_weights, variance_of
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.pixels import neighbours
 from cloudtomo_cl.scene.sensors import View
-from cloudtomo_cl.transport.derivatives import neighbours
+from cloudtomo_cl.scene.visibility import pixels_that_see
 
 
 @dataclass(frozen=True)

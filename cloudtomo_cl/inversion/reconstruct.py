@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.errors import DataError, TransportError
-from cloudtomo_cl.inversion.carving import coarsened
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, identity_of, read_checkpoint, rows
 from cloudtomo_cl.inversion.pixels import seen_pixels
 from cloudtomo_cl.inversion.priors import Prior
@@ -23,7 +22,7 @@ from cloudtomo_cl.inversion.solvers.stochastic_descent import PATHS_PER_ITERATIO
 from cloudtomo_cl.inversion.stages import Stage, has_settled, stages_of
 from cloudtomo_cl.memory import require_jacobian, require_reconstruction
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
-from cloudtomo_cl.scene.grid import Grid, resample_in_mask
+from cloudtomo_cl.scene.grid import Grid, coarsened, resample_in_mask
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.metrics import delta, epsilon
 from cloudtomo_cl.scene.scene import Scene

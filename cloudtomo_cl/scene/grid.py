@@ -101,3 +101,19 @@ def resample_in_mask(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
     inside = resample(mask, values.shape)
     concentrated = np.divide(values, inside, out=np.zeros(values.shape), where=inside > 0)
     return resample(concentrated, mask.shape) * mask
+
+
+def coarsened(mask: np.ndarray, shape: Sequence[int]) -> np.ndarray:
+    """The mask on other voxels of the same domain: those that overlap a kept voxel.
+
+    Parameters
+    ----------
+    mask : bool
+    shape : of the other grid
+
+    Returns
+    -------
+    bool, of that shape
+    """
+    # Edges that coincide up to rounding are no overlap.
+    return resample(mask, shape) > 1e-9

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -12,11 +12,16 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.scene.grid import resample
 from cloudtomo_cl.scene.sensors import RayView, View
 
-if TYPE_CHECKING:
-    from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering
-
 # Share of a larger pixel that must not be bad: half, up to rounding.
 _LEAST_VALID = 0.5 - 1e-9
+
+
+class _Renders(Protocol):
+    """What makes images of a rendering: a `RadianceOperator`, which lies in a higher room."""
+
+    views: tuple[View, ...]
+
+    def images(self, values: np.ndarray, /) -> list[np.ndarray]: ...
 
 
 @dataclass(frozen=True)
@@ -38,8 +43,8 @@ class Measurements:
     calibration_errors: tuple[float, ...] = ()
 
     @classmethod
-    def rendered(cls, operator: RadianceOperator, rendering: Rendering) -> Measurements:
-        """All pixels of a rendering as images."""
+    def rendered(cls, operator: _Renders, rendering: Any) -> Measurements:
+        """All pixels of a `Rendering` by a `RadianceOperator` as images."""
         images, errors = (tuple(operator.images(values)) for values in (rendering.mean, rendering.standard_error))
         return cls(operator.views, images, errors)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -13,11 +12,11 @@ from cloudtomo_cl.memory import require, require_jacobian
 from cloudtomo_cl.opencl.fixed_point import require_sums
 from cloudtomo_cl.opencl.layout import FIELD_UNIT
 from cloudtomo_cl.scene.phase import PhaseFunction
-from cloudtomo_cl.scene.sensors import RayView, View
+from cloudtomo_cl.scene.pixels import neighbours
 from cloudtomo_cl.transport.radiance import FIXED_POINT_SCALE, RadianceOperator, Rendering
 
 if TYPE_CHECKING:
-    import scipy.sparse
+    pass
 
 # Rings of directions around the vertical, degrees from it, and their azimuths: cells of about
 # 0.17 sr, smaller near the vertical.
@@ -276,31 +275,6 @@ def _with_neighbours(values: np.ndarray) -> np.ndarray:
         total[:-1] += before[1:]
         values = np.moveaxis(total, 0, axis)
     return values
-
-
-def neighbours(views: Sequence[View], pixels: np.ndarray) -> scipy.sparse.csr_matrix:
-    """The mean over a pixel and those of the listed pixels that touch it in its image.
-
-    Returns a matrix (pixels, pixels), float32; rays of a `RayView` have no neighbours.
-    """
-    import scipy.sparse
-
-    rows, columns = [], []
-    for index, view in enumerate(views):
-        chosen = np.flatnonzero(pixels[:, 0] == index)
-        width, height = view.pixels
-        place = np.full((height + 2, width + 2), -1)
-        at = np.divmod(pixels[chosen, 1].astype(int), width)
-        place[at[0] + 1, at[1] + 1] = chosen
-        reach = (0,) if isinstance(view, RayView) else (-1, 0, 1)
-        for down in reach:
-            for right in reach:
-                other = place[at[0] + 1 + down, at[1] + 1 + right]
-                rows.append(chosen[other >= 0])
-                columns.append(other[other >= 0])
-    row, column = np.concatenate(rows), np.concatenate(columns)
-    share = (1 / np.bincount(row, minlength=len(pixels)))[row].astype(np.float32)
-    return scipy.sparse.csr_matrix((share, (row, column)), (len(pixels), len(pixels)))
 
 
 @lru_cache

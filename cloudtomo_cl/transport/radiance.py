@@ -14,6 +14,7 @@ from cloudtomo_cl.memory import require_rendering
 from cloudtomo_cl.opencl.device import Device, Pace, choose_device, device_errors
 from cloudtomo_cl.opencl.fixed_point import require_sums
 from cloudtomo_cl.opencl.layout import MOST_SAMPLES, STRUCTS, ray_array, view_structs
+from cloudtomo_cl.scene.pixels import all_pixels
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.sensors import View
 from cloudtomo_cl.transport.audit import Account, Audit, check_replays
@@ -355,11 +356,3 @@ def pooled(first: Rendering, second: Rendering) -> Rendering:
 def parts(count: int, most: int) -> list[tuple[np.uint32, np.uint32]]:
     """The numbers from 0 to below `count` in parts (begin, end) of at most `most`."""
     return [(np.uint32(begin), np.uint32(min(begin + most, count))) for begin in range(0, count, most)]
-
-
-def all_pixels(views: Sequence[View]) -> np.ndarray:
-    """Every pixel of every view: an array (pixels, 2) of (view, row * width + column)."""
-    counts = [view.pixels[0] * view.pixels[1] for view in views]
-    return np.column_stack(
-        [np.repeat(np.arange(len(views)), counts), np.concatenate([np.arange(count) for count in counts])]
-    ).astype(np.uint32)

@@ -12,9 +12,10 @@ from scenes import TABLE
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.phase import HenyeyGreenstein
+from cloudtomo_cl.scene.pixels import neighbours
 from cloudtomo_cl.scene.scene import Air, Boundary, Cloud, Scene, Sun, Surface
 from cloudtomo_cl.scene.sensors import OrthographicView, RayView
-from cloudtomo_cl.transport.derivatives import _AZIMUTHS, _EDGES, BINS, RadianceField, neighbours, scattering_matrix
+from cloudtomo_cl.transport.derivatives import _AZIMUTHS, _EDGES, BINS, RadianceField, scattering_matrix
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
 GRID = Grid(shape=(5, 5, 5), spacing=(0.05, 0.05, 0.05), origin=(0.0, 0.0, 0.1))

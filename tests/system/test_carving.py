@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from cloudtomo_cl.clouds.generate import cumulus
-from cloudtomo_cl.files.io import read_extinction
-from cloudtomo_cl.inversion.carving import carve, coarsened
-from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.files.extinction import read_extinction
+from cloudtomo_cl.inversion.carving import carve
+from cloudtomo_cl.scene.grid import Grid, coarsened
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene, Sun, Surface
 from cloudtomo_cl.scene.sensors import PerspectiveView

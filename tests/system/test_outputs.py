@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from cloudtomo_cl.commands.cli import main
-from cloudtomo_cl.files.io import write_rays
+from cloudtomo_cl.files.measurements import write_rays
 from cloudtomo_cl.files.phase import write_phase_function
 from cloudtomo_cl.scene.droplets import DropletTable
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from cloudtomo_cl.commands.cli import main
-from cloudtomo_cl.files.io import write_extinction
+from cloudtomo_cl.files.extinction import write_extinction
 from cloudtomo_cl.scene.grid import Grid
 
 SCENE = """

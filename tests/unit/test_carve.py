@@ -7,10 +7,11 @@ import pytest
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion import carving
-from cloudtomo_cl.inversion.carving import carve, cloudy_pixels, coarsened, pixels_that_meet, pixels_that_see
-from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.inversion.carving import carve, cloudy_pixels
+from cloudtomo_cl.scene.grid import Grid, coarsened
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
+from cloudtomo_cl.scene.visibility import pixels_that_meet, pixels_that_see
 
 GRID = Grid(shape=(8, 8, 4), spacing=(0.1, 0.1, 0.1))
 # Each pixel looks down one column of voxels.

@@ -11,7 +11,8 @@ import xarray as xr
 
 from cloudtomo_cl.commands import reconstruct as commands
 from cloudtomo_cl.commands.cli import main
-from cloudtomo_cl.files.io import read_extinction, write_extinction, write_rays
+from cloudtomo_cl.files.extinction import read_extinction, write_extinction
+from cloudtomo_cl.files.measurements import write_rays
 from cloudtomo_cl.inversion.priors import Prior
 from cloudtomo_cl.inversion.solvers.optimizer import Optimizer
 from cloudtomo_cl.scene.grid import Grid

@@ -10,7 +10,7 @@ from scipy.io import savemat
 
 from cloudtomo_cl.clouds.readers import ReadingOptions, read_cloud
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.files.io import write_extinction
+from cloudtomo_cl.files.extinction import write_extinction
 from cloudtomo_cl.files.phase import write_phase_function
 from cloudtomo_cl.scene.droplets import DropletTable
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction

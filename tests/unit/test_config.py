@@ -14,7 +14,8 @@ from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.phase import DoubleHenyeyGreenstein, HenyeyGreenstein, PhaseFunction, TabulatedPhaseFunction
 from cloudtomo_cl.scene.scene import Air, Boundary, Cloud, Scene, Sun, Surface
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView
-from cloudtomo_cl.settings.tables import read_reconstruct_settings, read_render_settings, stored_scene
+from cloudtomo_cl.settings.stored import stored_scene
+from cloudtomo_cl.settings.tables import read_reconstruct_settings, read_render_settings
 
 SCENE = """
 [cloud]

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloudtomo_cl.files.io import write_rays
+from cloudtomo_cl.files.measurements import write_rays
 from cloudtomo_cl.scene import formations, sensors
 from cloudtomo_cl.settings.tables import read_render_settings, views
 

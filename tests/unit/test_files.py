@@ -9,7 +9,8 @@ import pytest
 import xarray as xr
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.files import io
+from cloudtomo_cl.files.extinction import read_extinction, write_extinction
+from cloudtomo_cl.files.measurements import read_measurements, read_rays, read_settings, write_measurements, write_rays
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
@@ -52,8 +53,8 @@ def dataset(extinction=None, grid=GRID, unit="km", factor=1.0, dtype=np.float64)
 )
 def test_extinction_comes_back_with_its_grid(tmp_path, grid):
     extinction = some_extinction(grid)
-    io.write_extinction(tmp_path / "cloud.nc", grid, extinction)
-    grid_read, extinction_read = io.read_extinction(tmp_path / "cloud.nc")
+    write_extinction(tmp_path / "cloud.nc", grid, extinction)
+    grid_read, extinction_read = read_extinction(tmp_path / "cloud.nc")
     np.testing.assert_array_equal(extinction_read, extinction)
     assert grid_read.shape == grid.shape
     np.testing.assert_allclose(grid_read.spacing, grid.spacing, rtol=1e-14)
@@ -65,31 +66,31 @@ def test_metres_mean_the_same_as_kilometres(tmp_path):
     data = dataset(values / 1e3, unit="m", factor=1e3, dtype=np.float32)
     data.extinction.attrs["units"] = "m-1"
     data.to_netcdf(tmp_path / "metres.nc")
-    grid, extinction = io.read_extinction(tmp_path / "metres.nc")
+    grid, extinction = read_extinction(tmp_path / "metres.nc")
     assert grid == GRID
     np.testing.assert_allclose(extinction, values, rtol=1e-6)
 
 
 def test_dimensions_in_another_order_are_transposed(tmp_path):
     dataset().transpose("z", "y", "x").to_netcdf(tmp_path / "zyx.nc")
-    np.testing.assert_array_equal(io.read_extinction(tmp_path / "zyx.nc")[1], some_extinction())
+    np.testing.assert_array_equal(read_extinction(tmp_path / "zyx.nc")[1], some_extinction())
 
 
 def test_a_domain_starts_half_a_voxel_below_its_first_centre(tmp_path):
     data = dataset()
     data.assign_coords(z=data.z + 0.4).to_netcdf(tmp_path / "lifted.nc")
-    assert io.read_extinction(tmp_path / "lifted.nc")[0].origin == (0.0, 0.0, 0.4)
+    assert read_extinction(tmp_path / "lifted.nc")[0].origin == (0.0, 0.0, 0.4)
 
 
 def test_an_origin_within_rounding_of_zero_is_exactly_zero(tmp_path):
     dataset(dtype=np.float32).to_netcdf(tmp_path / "single.nc")
-    grid = io.read_extinction(tmp_path / "single.nc")[0]
+    grid = read_extinction(tmp_path / "single.nc")[0]
     assert grid.origin == (0.0, 0.0, 0.0)
     assert grid.spacing == GRID.spacing
 
 
 def test_the_file_follows_the_conventions(tmp_path):
-    io.write_extinction(tmp_path / "cloud.nc", GRID, some_extinction(), {"source": "a test", "settings": {"seed": 1}})
+    write_extinction(tmp_path / "cloud.nc", GRID, some_extinction(), {"source": "a test", "settings": {"seed": 1}})
     with xr.open_dataset(tmp_path / "cloud.nc") as data:
         assert data.attrs["Conventions"].startswith("CF-")
         assert data.attrs["source"] == "a test"
@@ -154,19 +155,19 @@ def test_unfit_extinction_is_named(tmp_path, what, text):
     path = tmp_path / "cloud.nc"
     changed(what).to_netcdf(path)
     with pytest.raises(DataError, match=text) as caught:
-        io.read_extinction(path)
+        read_extinction(path)
     assert str(path) in str(caught.value)
 
 
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(DataError, match="no such file"):
-        io.read_extinction(tmp_path / "nowhere.nc")
+        read_extinction(tmp_path / "nowhere.nc")
 
 
 def test_a_file_that_is_not_netcdf_is_named(tmp_path):
     (tmp_path / "notes.nc").write_text("not a cloud")
     with pytest.raises(DataError, match="not a netCDF file"):
-        io.read_extinction(tmp_path / "notes.nc")
+        read_extinction(tmp_path / "notes.nc")
 
 
 @pytest.mark.parametrize("format", ["NETCDF4", "NETCDF3_64BIT"])
@@ -178,18 +179,18 @@ def test_a_file_that_was_cut_short_is_named(tmp_path, format, share):
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
     with pytest.raises(DataError, match="cut short"):
-        io.read_extinction(path)
+        read_extinction(path)
 
 
 def test_extinction_of_another_shape_is_not_written(tmp_path):
     with pytest.raises(DataError, match="shape"):
-        io.write_extinction(tmp_path / "cloud.nc", GRID, some_extinction()[1:])
+        write_extinction(tmp_path / "cloud.nc", GRID, some_extinction()[1:])
     assert not list(tmp_path.iterdir())
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
     path = tmp_path / "cloud.nc"
-    io.write_extinction(path, GRID, some_extinction())
+    write_extinction(path, GRID, some_extinction())
     before = path.read_bytes()
 
     def fails(self, target, **options):
@@ -198,20 +199,20 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
 
     monkeypatch.setattr(xr.Dataset, "to_netcdf", fails)
     with pytest.raises(DataError, match="no space left"):
-        io.write_extinction(path, GRID, 2 * some_extinction())
+        write_extinction(path, GRID, 2 * some_extinction())
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_missing_folder_is_named(tmp_path):
     with pytest.raises(DataError, match="does not exist"):
-        io.write_extinction(tmp_path / "missing" / "cloud.nc", GRID, some_extinction())
+        write_extinction(tmp_path / "missing" / "cloud.nc", GRID, some_extinction())
 
 
 def test_measurements_come_back_exactly(tmp_path):
     measurements = some_measurements()
-    io.write_measurements(tmp_path / "images.nc", measurements)
-    read = io.read_measurements(tmp_path / "images.nc")
+    write_measurements(tmp_path / "images.nc", measurements)
+    read = read_measurements(tmp_path / "images.nc")
     assert read.views == measurements.views
     for name in ("images", "standard_errors"):
         for array, expected in zip(getattr(read, name), getattr(measurements, name)):
@@ -236,14 +237,14 @@ def every_kind_of_view():
 def test_views_of_every_kind_come_back_exactly(tmp_path):
     views = every_kind_of_view()
     images = tuple(np.ones(view.pixels[::-1]) for view in views)
-    io.write_measurements(tmp_path / "images.nc", Measurements(views, images, images))
-    assert io.read_measurements(tmp_path / "images.nc").views == views
+    write_measurements(tmp_path / "images.nc", Measurements(views, images, images))
+    assert read_measurements(tmp_path / "images.nc").views == views
 
 
 def test_rays_come_back_exactly(tmp_path):
     view = every_kind_of_view()[0]
-    io.write_rays(tmp_path / "rays.nc", view)
-    assert io.read_rays(tmp_path / "rays.nc") == view
+    write_rays(tmp_path / "rays.nc", view)
+    assert read_rays(tmp_path / "rays.nc") == view
 
 
 def test_rays_of_another_program_may_be_in_metres(tmp_path):
@@ -253,7 +254,7 @@ def test_rays_of_another_program_may_be_in_metres(tmp_path):
     }
     xr.Dataset(variables).to_netcdf(tmp_path / "rays.nc")
     expected = RayView([(0.1, 0, 2), (0.2, 0, 2)], [(0, 0, -1), (0.6, 0, -0.8)], (2, 1))
-    assert io.read_rays(tmp_path / "rays.nc") == expected
+    assert read_rays(tmp_path / "rays.nc") == expected
 
 
 @pytest.mark.parametrize(
@@ -270,31 +271,31 @@ def test_unfit_rays_are_named(tmp_path, variables, attributes, message):
     dataset = xr.Dataset({name: (("ray", "axis"), values) for name, values in variables.items()}, attrs=attributes)
     dataset.to_netcdf(tmp_path / "rays.nc")
     with pytest.raises(DataError, match=message):
-        io.read_rays(tmp_path / "rays.nc")
+        read_rays(tmp_path / "rays.nc")
 
 
 def test_a_file_without_its_rays_is_named(tmp_path):
     views = every_kind_of_view()
     images = tuple(np.ones(view.pixels[::-1]) for view in views)
-    io.write_measurements(tmp_path / "images.nc", Measurements(views, images, images))
+    write_measurements(tmp_path / "images.nc", Measurements(views, images, images))
     with xr.open_dataset(tmp_path / "images.nc") as data:
         data.load().drop_vars("ray_direction").to_netcdf(tmp_path / "wrong.nc")
     with pytest.raises(DataError, match=r"no variable ray_direction\(ray, axis\)"):
-        io.read_measurements(tmp_path / "wrong.nc")
+        read_measurements(tmp_path / "wrong.nc")
 
 
 def test_a_file_that_is_short_of_rays_is_named(tmp_path):
     views = every_kind_of_view()
     images = tuple(np.ones(view.pixels[::-1]) for view in views)
-    io.write_measurements(tmp_path / "images.nc", Measurements(views, images, images))
+    write_measurements(tmp_path / "images.nc", Measurements(views, images, images))
     with xr.open_dataset(tmp_path / "images.nc") as data:
         data.load().isel(ray=slice(0, 9)).to_netcdf(tmp_path / "wrong.nc")
     with pytest.raises(DataError, match="view 3 is not possible: .*5 x 1 for 3 rays"):
-        io.read_measurements(tmp_path / "wrong.nc")
+        read_measurements(tmp_path / "wrong.nc")
 
 
 def test_images_are_padded_with_nan(tmp_path):
-    io.write_measurements(tmp_path / "images.nc", some_measurements())
+    write_measurements(tmp_path / "images.nc", some_measurements())
     with xr.open_dataset(tmp_path / "images.nc") as data:
         assert data.radiance.shape == (3, 4, 3)
         assert data.radiance.attrs["units"] == "W m-2 sr-1"
@@ -304,14 +305,14 @@ def test_images_are_padded_with_nan(tmp_path):
 
 def test_settings_come_back(tmp_path):
     settings = {"scene": {"sun": {"zenith": 50.0}}, "views": [{"type": "perspective"}], "note": "Wolke ü"}
-    io.write_measurements(tmp_path / "images.nc", some_measurements(), settings=settings)
-    assert io.read_settings(tmp_path / "images.nc") == settings
+    write_measurements(tmp_path / "images.nc", some_measurements(), settings=settings)
+    assert read_settings(tmp_path / "images.nc") == settings
 
 
 def test_missing_settings_are_named(tmp_path):
-    io.write_measurements(tmp_path / "images.nc", some_measurements())
+    write_measurements(tmp_path / "images.nc", some_measurements())
     with pytest.raises(DataError, match="no attribute settings"):
-        io.read_settings(tmp_path / "images.nc")
+        read_settings(tmp_path / "images.nc")
 
 
 @pytest.mark.parametrize(
@@ -325,7 +326,7 @@ def test_missing_settings_are_named(tmp_path):
     ],
 )
 def test_unfit_measurements_are_named(tmp_path, name, value, text):
-    io.write_measurements(tmp_path / "images.nc", some_measurements())
+    write_measurements(tmp_path / "images.nc", some_measurements())
     with xr.open_dataset(tmp_path / "images.nc") as data:
         data = data.load()
     if value is None:
@@ -336,35 +337,35 @@ def test_unfit_measurements_are_named(tmp_path, name, value, text):
         data[name].values[0] = value
     data.to_netcdf(tmp_path / "wrong.nc")
     with pytest.raises(DataError, match=text):
-        io.read_measurements(tmp_path / "wrong.nc")
+        read_measurements(tmp_path / "wrong.nc")
 
 
 def test_bad_pixels_survive_a_file(tmp_path):
     measurements = some_measurements()
     measurements.images[0][1, 2] = np.nan
-    io.write_measurements(tmp_path / "images.nc", measurements)
-    read = io.read_measurements(tmp_path / "images.nc")
+    write_measurements(tmp_path / "images.nc", measurements)
+    read = read_measurements(tmp_path / "images.nc")
     for kept, image in zip(read.images, measurements.images):
         np.testing.assert_array_equal(kept, image)
 
 
 def test_calibration_errors_survive_a_file(tmp_path):
     measurements = replace(some_measurements(), calibration_errors=(0.02, 0.0, 0.1))
-    io.write_measurements(tmp_path / "images.nc", measurements)
-    assert io.read_measurements(tmp_path / "images.nc").calibration_errors == (0.02, 0.0, 0.1)
+    write_measurements(tmp_path / "images.nc", measurements)
+    assert read_measurements(tmp_path / "images.nc").calibration_errors == (0.02, 0.0, 0.1)
 
 
 def test_a_variable_says_which_pixels_are_valid(tmp_path):
-    io.write_measurements(tmp_path / "images.nc", some_measurements())
+    write_measurements(tmp_path / "images.nc", some_measurements())
     with xr.open_dataset(tmp_path / "images.nc") as data:
         data = data.load()
     valid = np.ones(data.radiance.shape, np.int8)
     valid[1, 3, 0] = 0
     data["valid"] = (("view", "row", "column"), valid)
-    read = io.read_measurements(data)
+    read = read_measurements(data)
     assert read.bad_pixels == 1 and np.isnan(read.images[1][3, 0])
 
 
 def test_the_package_imports_without_xarray():
-    code = "import sys, cloudtomo_cl.files.io; sys.exit('xarray' in sys.modules or 'netCDF4' in sys.modules)"
+    code = "import sys, cloudtomo_cl.files.measurements; sys.exit('xarray' in sys.modules or 'netCDF4' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
