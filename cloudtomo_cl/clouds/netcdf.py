@@ -51,6 +51,8 @@ _OTHER_THINGS = {
     "effective radius": r"reynolds|\brain|\bice\b|\bsnow|graupel|\bhail|earth|mean volume",
     "air density": r"water|vapou?r|\brain|\bice\b|\bsnow|number|anomaly|potential",
 }
+# Between two levels air's density changes by less than this share, or it cannot be interpolated (or is none).
+_MOST_CHANGE = 0.08
 _PLAUSIBLE_AIR = (0.01, 2.0)  # kg m^-3, from the ground to 35 km
 
 
@@ -87,8 +89,8 @@ def read_netcdf_cloud(source: Source, options: ReadingOptions) -> CloudVolume:
     radius = _radius(path, dataset, axes, options, used)
     _refuse_unused(path, options, used)
     for letter in "xy":
-        steps = np.diff(axes[letter].edges)
-        if np.ptp(steps) > 2 * UNIFORM * steps.mean():
+        steps, apart = np.diff(axes[letter].edges), np.diff(axes[letter].points)
+        if max(np.ptp(steps), np.ptp(apart) if len(apart) else 0.0) > 2 * UNIFORM * steps.mean():
             raise DataError(f"{path}: {axes[letter].source} is not uniform: only vertical levels may be stretched")
     rows += [(letter, axes[letter].text()) for letter in "xyz"]
     quantity = Quantity(name, kind, values, said, stated)
@@ -328,6 +330,8 @@ def _air(
             passed.append(f"{name} has units '{units}', it must have kg m-3")
             continue
         values = _over(path, dataset, _selected(path, variable, dataset, options, used), axes)
+        if axes["z"].dimension not in variable.dims:
+            _require_smooth(path, name, dataset, variable)
         shape = tuple(len(axes[letter].points) for letter in "xyz")
         factor = 1.0 if unit is None else unit.factor
         return Quantity(
@@ -338,6 +342,19 @@ def _air(
         f"{path}: {field} is a mixing ratio, which needs the density of air: add a variable rho (kg m-3) "
         f"on its levels, or store the water content in g m-3{reasons}"
     )
+
+
+def _require_smooth(path: Any, name: str, dataset: xr.Dataset, variable: xr.DataArray) -> None:
+    """Refuses a density of air that changes too much from level to level to be interpolated to others."""
+    for dimension in map(str, variable.dims):
+        if kind_of_dimension(dataset, dimension) == "z" and variable.sizes[dimension] > 1:
+            values = np.moveaxis(variable.values.astype(np.float64), variable.dims.index(dimension), -1)
+            change = np.abs(np.diff(values, axis=-1)) / np.maximum(np.abs(values[..., 1:]), np.abs(values[..., :-1]))
+            if np.nanmax(change, initial=0.0) > _MOST_CHANGE:
+                raise DataError(
+                    f"{path}: {name} lies on {dimension}, not on the field's levels, and changes by "
+                    f"{np.nanmax(change):.0%} from one to the next, too much to interpolate: give it on those levels"
+                )
 
 
 def _require_air(path: Any, air: Quantity, among: np.ndarray) -> None:

@@ -110,15 +110,15 @@ def _next(path: Path, lines: list[_Line]) -> _Line:
 def _number(path: Path, line: _Line, index: int, what: str) -> float:
     """A word of a line as a number; NaN where it says that it is missing."""
     if index >= len(line.words):
-        raise DataError(f"{path}: line {line.number} has {len(line.words)} numbers, and no {what}: {_EXPECTED}")
+        raise DataError(f"{path}: line {line.number} has {len(line.words)} numbers and no {what}: {_EXPECTED}")
     word = line.words[index]
     if _NUMBER.fullmatch(word):
         return float(word.lower().replace("d", "e"))
     if word.lower() in _MISSING:
         return np.nan
     raise DataError(
-        f"{path}: line {line.number}, column {line.columns[index]}: {word[:40]!r} is no number, it must be the {what}: "
-        f"{_EXPECTED}"
+        f"{path}: is no cloud that can be read: line {line.number}, column {line.columns[index]}: {word[:40]!r} is no "
+        f"number, it must be the {what}: {_EXPECTED}"
     )
 
 
@@ -194,8 +194,8 @@ def _voxels(
             number = _number(path, line, column, f"index along {letter}")
             if not number == np.floor(number):
                 raise DataError(
-                    f"{path}: line {line.number}, column {line.columns[column]}: {line.words[column]} is no whole number: "
-                    f"it must be the index of a voxel along {letter}, counted from {first}, not its place in km"
+                    f"{path}: line {line.number}, column {line.columns[column]}: {line.words[column]} is no whole "
+                    f"number: it must be the index of a voxel along {letter}, counted from {first}, not its place in km"
                 )
             if not first <= number < first + count:
                 raise DataError(

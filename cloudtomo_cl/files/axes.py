@@ -169,6 +169,8 @@ def read_axis(path: Any, dataset: xr.Dataset, dimension: str, letter: str, spaci
     if spacing is not None and (numbers or (not said and counted)):
         falls = downward != bool(count > 1 and points[0] > points[-1])
         return _numbered(dimension, name, count, spacing, falls)
+    if not said and spacing is None:
+        _require_no_units(path, dataset, name)
     factor, unit = _factor(path, name, units if said else None, points, letter, spacing)
     if downward:
         raise DataError(
@@ -245,6 +247,29 @@ def _refuse_other_levels(path: Any, name: str, variable: xr.DataArray, letter: s
     degrees = isinstance(units, str) and _DEGREES.fullmatch(units.strip())
     if letter in "xy" and (degrees or (unit is not None and unit.dimension == ANGLE)):
         raise DataError(f"{path}: {name} has units '{units}', an angle, allowed are km and m: resample to lengths")
+
+
+def _require_no_units(path: Any, dataset: xr.Dataset, name: str) -> None:
+    """Refuses an axis without units in a file that states those of others, or one that says that it only counts.
+
+    The unit of an axis is guessed only where a file has none at all: beside a stated one, its absence tells that
+    the numbers are no lengths.
+    """
+    long_name = _text(dataset[name].attrs, "long_name").lower()
+    words = re.search(r"sigma|\beta\b|pressure|level|layer|index|number", long_name)
+    others = [str(other) for other in dataset.dims if other != name and other in dataset.variables]
+    stated = [other for other in others if _is_length(dataset[other].attrs.get("units"))]
+    if stated or words:
+        why = f"{stated[0]} has them" if stated else f"its long_name says '{words.group()}'" if words else ""
+        raise DataError(
+            f"{path}: {name} has no units, and {why}: set its attribute units to m or km, or if its numbers only "
+            f"count, add --spacing DX DY DZ (km)"
+        )
+
+
+def _is_length(units: Any) -> bool:
+    unit = parse_unit(units)
+    return unit is not None and unit.dimension == LENGTH
 
 
 def _factor(

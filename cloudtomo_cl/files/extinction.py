@@ -41,7 +41,10 @@ def _axis(path: Any, dataset: xr.Dataset, name: str) -> tuple[Axis, float, float
     rounding = 4 * float(np.abs(points).max()) * float(np.finfo(np.float32 if single else np.float64).eps)
     spacing = _tidy(float(axis.edges[-1] - axis.edges[0]) / count, rounding)
     uniform = axis.edges[0] + spacing * (np.arange(count) + 0.5)
+    between = (points[-1] - points[0]) / (count - 1) if count > 1 else spacing
+    # Neither edges nor points may be uneven; points may lie off the middle.
     wrong = np.abs(axis.edges[1:] - uniform - spacing / 2) > 2 * TOLERANCE * spacing
+    wrong |= np.abs(points - points[0] - between * np.arange(count)) > TOLERANCE * spacing
     if wrong.any():
         index = int(np.argmax(wrong))
         raise DataError(
@@ -49,7 +52,6 @@ def _axis(path: Any, dataset: xr.Dataset, name: str) -> tuple[Axis, float, float
             f"of {spacing:g} km gives {uniform[index]:g} km: resample the extinction to uniform voxels"
         )
     # Half a voxel below the first centre, unless bounds say otherwise: centres have less rounding than edges.
-    between = (points[-1] - points[0]) / (count - 1) if count > 1 else spacing
     if np.allclose(axis.edges[:-1], points - spacing / 2, rtol=0, atol=TOLERANCE * spacing):
         spacing = _tidy(float(between), rounding)
         origin = float(points[0]) - spacing / 2

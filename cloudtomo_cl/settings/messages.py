@@ -12,6 +12,22 @@ from pydantic import ValidationError
 _MOST_MISTAKES = 50
 
 
+# Control characters, of which a terminal makes colours, titles and worse; the end of a line and the tab stay.
+_CONTROLS = {code: f"\\x{code:02x}" for code in (*range(9), *range(11, 32), 127, *range(128, 160))}
+
+
+def printable(text: str, encoding: str | None = None) -> str:
+    """A text that a terminal shows and does not obey: control characters, as files may have them, are spelt out.
+
+    Parameters
+    ----------
+    text : for people, with names and words that may come from files
+    encoding : of the terminal; what it does not have is spelt out, too
+    """
+    text = text.translate(_CONTROLS)
+    return text.encode(encoding, "backslashreplace").decode(encoding) if encoding else text
+
+
 def error_text(file: str, lines: list[str]) -> str:
     return "\n".join(f"{file}: {line}" for line in lines)
 
