@@ -38,6 +38,8 @@ HARMLESS = 1 << 26
 def is_netcdf(path: Path) -> bool:
     """By the first bytes; what cannot be read is no netCDF file."""
     try:
+        if not path.is_file():  # nothing waits for a pipe
+            return False
         with open(path, "rb") as file:
             return file.read(4) in (b"\x89HDF", b"CDF\x01", b"CDF\x02", b"CDF\x05")
     except OSError:

@@ -31,7 +31,10 @@ def with_overrides(tables: dict[str, Any], overrides: Sequence[str]) -> dict[str
     ------
     SettingsError : no key, a key inside of something that is no table, no such entry of a list
     """
-    tables = copy.deepcopy(tables)
+    try:
+        tables = copy.deepcopy(tables)
+    except RecursionError:
+        raise SettingsError("the settings' tables are nested too deeply to be settings of anything") from None
     for override in overrides:
         key, equals, text = override.partition("=")
         key = key.strip()

@@ -301,7 +301,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
     except RecursionError:
         raise SettingsError(f"{path}: is no settings file: its tables are nested too deeply") from None
     except ValueError as error:  # of TOML, and of a number with too many digits
-        raise SettingsError(f"{path}: is not TOML: {error}") from None
+        raise SettingsError(f"{path}: is not TOML: {str(error).partition(';')[0]}") from None
 
 
 def _check(path: Path, tables: dict[str, Any], model: type[Settings]) -> Settings:
