@@ -8,7 +8,7 @@ from matplotlib import pyplot
 import cloudtomo_cl as ct
 
 README = Path(__file__).parents[2] / "README.md"
-PYTHON = README.parent / "docs" / "python.md"
+PYTHON = README.parent / "docs" / "how-to" / "python.md"
 
 
 def test_python_example_recovers_a_cloud(capsys):
