@@ -41,11 +41,12 @@ def api_page(page: str, names: list[str]) -> str:
 
 
 def pages_of(folder: str) -> list[str]:
-    """The pages of a folder of docs/, its index first."""
+    """The pages of a folder of docs/: its index, then the others in the order in which the index links to them."""
     if folder == f"{API}/":
         return [f"{API}/{page}.md" for page in public_names()]
-    found = sorted(path.relative_to(TOP / "docs").as_posix() for path in (TOP / "docs" / folder).glob("*.md"))
-    return sorted(found, key=lambda path: not path.endswith("/index.md"))
+    index = (TOP / "docs" / folder / "index.md").read_text(encoding="utf-8")
+    linked = dict.fromkeys(["index.md", *re.findall(r"\]\(([\w-]+\.md)\)", index)])
+    return [folder + page for page in linked]
 
 
 def _expanded(entry: Any) -> Iterator[Any]:
