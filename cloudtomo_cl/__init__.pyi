@@ -1,43 +1,41 @@
 # The public names: __init__.py gives them, and imports where they come from when they are first used.
-from .carving import carve
-from .cloud_files import ReadingOptions, read_cloud
-from .cloud_volume import CloudVolume
-from .clouds import cumulus
-from .device import choose_device, list_devices
-from .droplets import DropletTable, extinction_from_water
+from .clouds.generate import cumulus
+from .clouds.mie import droplet_table
+from .clouds.readers import ReadingOptions, read_cloud
+from .clouds.volume import CloudVolume
 from .errors import CloudtomoError
-from .flux import Fluxes, FluxOperator
-from .formations import MISR_ANGLES, RingOfViews, StringOfScans, StringOfViews, fisheye_rays
-from .grid import Grid
-from .inversion import Reconstruction, reconstruct
-from .io import (
-    extinction_dataset,
+from .files.extinction import extinction_dataset, read_extinction, write_extinction
+from .files.measurements import (
     measurements_dataset,
-    read_extinction,
     read_measurements,
     read_rays,
-    write_extinction,
     write_measurements,
     write_rays,
 )
-from .measurements import Measurements
-from .metrics import delta, epsilon
-from .mie import droplet_table
-from .noise import Noise
-from .optimizer import Optimizer
-from .phase import DoubleHenyeyGreenstein, HenyeyGreenstein, TabulatedPhaseFunction
-from .phase_files import read_droplet_table, read_phase_function, write_phase_function
-from .prior import Prior
-from .scene import Air, Boundary, Cloud, Scene, Sun, Surface
-from .sensors import (
+from .files.phase import read_droplet_table, read_phase_function, write_phase_function
+from .inversion.carving import carve
+from .inversion.priors import Prior
+from .inversion.reconstruct import Reconstruction, reconstruct
+from .inversion.solvers.optimizer import Optimizer
+from .inversion.stages import Stage, automatic_stages
+from .opencl.device import choose_device, list_devices
+from .scene.droplets import DropletTable, extinction_from_water
+from .scene.formations import MISR_ANGLES, RingOfViews, StringOfScans, StringOfViews, fisheye_rays
+from .scene.grid import Grid
+from .scene.measurements import Measurements
+from .scene.metrics import delta, epsilon
+from .scene.noise import Noise
+from .scene.phase import DoubleHenyeyGreenstein, HenyeyGreenstein, TabulatedPhaseFunction
+from .scene.scene import Air, Boundary, Cloud, Scene, Sun, Surface
+from .scene.sensors import (
     OrthographicView,
     PerspectiveView,
     PushBroomView,
     RadiometerView,
     RayView,
 )
-from .stages import Stage, automatic_stages
-from .transport import RadianceOperator, Rendering
+from .transport.flux import Fluxes, FluxOperator
+from .transport.radiance import RadianceOperator, Rendering
 
 __all__ = [
     "Air",

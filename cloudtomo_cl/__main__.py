@@ -2,6 +2,6 @@
 
 import sys
 
-from cloudtomo_cl.cli import main
+from cloudtomo_cl.commands.cli import main
 
 sys.exit(main())

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cloudtomo_cl.errors import DataError, DeviceError
 
 if TYPE_CHECKING:
-    from cloudtomo_cl.device import Device
+    from cloudtomo_cl.opencl.device import Device
 
 # Bytes for each voxel and pixel, counted over the arrays that live at the same time and rounded up.
 _RENDER_VOXEL, _RENDER_PIXEL = 8, 48

@@ -15,15 +15,15 @@ from pathlib import Path
 
 import numpy as np
 
-from cloudtomo_cl import i3rc
-from cloudtomo_cl.cloud_files import ReadingOptions, read_cloud
-from cloudtomo_cl.device import Device
-from cloudtomo_cl.flux import Fluxes, FluxOperator
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.phase import HenyeyGreenstein
-from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
-from cloudtomo_cl.sensors import RadiometerView
-from cloudtomo_cl.transport import RadianceOperator
+from cloudtomo_cl.clouds.readers import ReadingOptions, read_cloud
+from cloudtomo_cl.files import i3rc
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.phase import HenyeyGreenstein
+from cloudtomo_cl.scene.scene import Air, Boundary, Cloud, Scene, Sun, Surface
+from cloudtomo_cl.scene.sensors import RadiometerView
+from cloudtomo_cl.transport.flux import Fluxes, FluxOperator
+from cloudtomo_cl.transport.radiance import RadianceOperator
 
 PHOTONS = 1_000_000
 QUICK_PHOTONS = 100_000

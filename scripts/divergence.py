@@ -27,7 +27,7 @@ import pyopencl as cl
 from benchmarks.scenes import Case, generated, scene_c
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.audit import Account
+from cloudtomo_cl.transport.audit import Account
 
 # What an event takes beside its crossings, in crossings: random numbers, phase functions, starts of flights
 # (from the profile in docs/decisions/work-item-order.md).

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.adaptive import render_to_error
-from cloudtomo_cl.extinction_files import read_extinction
+from cloudtomo_cl.files.extinction import read_extinction
+from cloudtomo_cl.transport.adaptive import render_to_error
 
 PIXELS = (76, 76)
 

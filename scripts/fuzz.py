@@ -307,8 +307,10 @@ class Bench:
     """Runs cases, each in a fresh copy of the same small inputs."""
 
     def __init__(self, folder: Path) -> None:
-        from cloudtomo_cl import cli, commands, plots
-        from cloudtomo_cl.device import choose_device
+        from cloudtomo_cl.commands import cli
+        from cloudtomo_cl.commands import reconstruct as commands
+        from cloudtomo_cl.opencl.device import choose_device
+        from cloudtomo_cl.report import plots
 
         self.folder = folder
         self.main = cli.main
@@ -328,8 +330,8 @@ class Bench:
     def prepare(self) -> None:
         import numpy as np
 
-        from cloudtomo_cl.grid import Grid
-        from cloudtomo_cl.io import write_extinction
+        from cloudtomo_cl.files.extinction import write_extinction
+        from cloudtomo_cl.scene.grid import Grid
 
         self.template.mkdir()
         extinction = np.zeros((4, 4, 4), np.float32)
@@ -389,7 +391,7 @@ class Bench:
             changed = sorted(name for name in {*before, *after} if before.get(name) != after.get(name))
             return f"failed, but changed {changed}"
         if status == 0 and "new.nc" in after and command[0] == "cloud":
-            from cloudtomo_cl.io import read_extinction
+            from cloudtomo_cl.files.extinction import read_extinction
 
             read_extinction("new.nc")
         return ""

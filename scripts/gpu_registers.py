@@ -22,8 +22,8 @@ from pathlib import Path
 
 import pyopencl
 
-from cloudtomo_cl.device import choose_device, kernels_folder
-from cloudtomo_cl.radiance_field import _FEATURES as FIELD_FEATURES
+from cloudtomo_cl.opencl.device import choose_device, kernels_folder
+from cloudtomo_cl.transport.derivatives import _FEATURES as FIELD_FEATURES
 
 # File, kernel, macros. The last two show what optional features cost.
 KERNELS = (
@@ -84,7 +84,7 @@ def run(command: list[str]) -> str:
 
 
 def compile_options(clang: str, source: Path) -> list[str]:
-    """Of clang for any GPU, as cloudtomo_cl.device has them."""
+    """Of clang for any GPU, as cloudtomo_cl.opencl.device has them."""
     ours = kernels_folder()
     theirs = Path(pyopencl.__file__).parent / "cl"
     return [

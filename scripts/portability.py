@@ -110,7 +110,7 @@ def _environment(icd: str) -> dict[str, str]:
 def list_worker() -> None:
     import pyopencl
 
-    from cloudtomo_cl.device import list_devices
+    from cloudtomo_cl.opencl.device import list_devices
 
     versions = {platform.name.strip(): platform.version.strip() for platform in pyopencl.get_platforms()}
     print(json.dumps([[d.index, d.platform, d.name, versions[d.platform], d.accumulation] for d in list_devices()]))
@@ -169,8 +169,8 @@ def compare_worker(samples: int, file: str) -> None:
     import pyopencl.array
 
     import cloudtomo_cl as ct
-    from cloudtomo_cl.device import choose_device
-    from cloudtomo_cl.radiance_field import RadianceField
+    from cloudtomo_cl.opencl.device import choose_device
+    from cloudtomo_cl.transport.derivatives import RadianceField
 
     mind_the_simulator()
     device = choose_device()

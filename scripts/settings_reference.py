@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from cloudtomo_cl.settings_reference import page
+from cloudtomo_cl.settings.reference_page import page
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "settings.md"
 

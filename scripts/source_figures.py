@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from cloudtomo_cl.carving import coarsened
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.io import read_extinction, read_measurements
-from cloudtomo_cl.measurements import Measurements
-from cloudtomo_cl.metrics import delta, epsilon
-from cloudtomo_cl.plots import (
+from cloudtomo_cl.commands.run_folder import RunFolder
+from cloudtomo_cl.files.extinction import read_extinction
+from cloudtomo_cl.files.measurements import read_measurements
+from cloudtomo_cl.inversion.pixels import seen_pixels
+from cloudtomo_cl.inversion.stages import Stage, automatic_stages
+from cloudtomo_cl.report.plots import (
     RADIANCE_LABEL,
     new_figure,
     plot_difference,
@@ -30,9 +30,9 @@ from cloudtomo_cl.plots import (
     radiance_limit,
     save_figures,
 )
-from cloudtomo_cl.runfolder import RunFolder
-from cloudtomo_cl.seen_pixels import seen_pixels
-from cloudtomo_cl.stages import Stage, automatic_stages
+from cloudtomo_cl.scene.grid import Grid, coarsened
+from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.metrics import delta, epsilon
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cloudtomo_cl import commands
-from cloudtomo_cl.device import choose_device
+from cloudtomo_cl.commands import reconstruct as commands
+from cloudtomo_cl.opencl.device import choose_device
 
 
 @pytest.fixture(scope="session")

@@ -15,9 +15,9 @@ import cloudtomo_cl as ct
 from benchmarks.children import child
 from benchmarks.scenes import generated
 from benchmarks.timing import Line, cpu_seconds, timed
-from cloudtomo_cl.method import Progress
-from cloudtomo_cl.radiance_field import RadianceField
-from cloudtomo_cl.stochastic_descent import StochasticDescent
+from cloudtomo_cl.inversion.solvers.method import Progress
+from cloudtomo_cl.inversion.solvers.stochastic_descent import StochasticDescent
+from cloudtomo_cl.transport.derivatives import RadianceField
 
 
 def machine() -> str:

@@ -11,7 +11,7 @@ import cloudtomo_cl as ct
 from benchmarks.mitsuba_peer import Missing, MitsubaScene
 from benchmarks.scenes import Case, generated, scene_c
 from benchmarks.timing import Disagreement, Line, require_agreement, timed
-from cloudtomo_cl.radiance_field import RadianceField
+from cloudtomo_cl.transport.derivatives import RadianceField
 
 _CASES = {"c": scene_c, "generated": lambda: generated(128)}
 _GOALS = {"forward": "100", "gradient": "250"}

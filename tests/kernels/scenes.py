@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from cloudtomo_cl import reference
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.phase import DoubleHenyeyGreenstein, HenyeyGreenstein, TabulatedPhaseFunction
-from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
+from cloudtomo_cl.reference import paths as reference
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.phase import DoubleHenyeyGreenstein, HenyeyGreenstein, TabulatedPhaseFunction
+from cloudtomo_cl.scene.scene import Air, Boundary, Cloud, Scene, Sun, Surface
+from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
 
 GRID = Grid(shape=(3, 4, 3), spacing=(0.1, 0.08, 0.12), origin=(0.5, -0.2, 0.2))
 PERIODIC = Boundary(horizontal="periodic")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cloudtomo_cl.errors import TransportError
-from cloudtomo_cl.fixed_point import first_overflow, require_sums
-from cloudtomo_cl.transport import parts
+from cloudtomo_cl.opencl.fixed_point import first_overflow, require_sums
+from cloudtomo_cl.transport.radiance import parts
 
 ADDS, SUMS = 98_000, 7  # a multiple
 

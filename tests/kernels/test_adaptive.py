@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scenes import ABOVE, CAMERA, SCENES, extinction_of
 
-from cloudtomo_cl.adaptive import relative_error, render_to_error
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.scene import Scene, Sun
-from cloudtomo_cl.sensors import OrthographicView, RayView
-from cloudtomo_cl.transport import RadianceOperator
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.scene import Scene, Sun
+from cloudtomo_cl.scene.sensors import OrthographicView, RayView
+from cloudtomo_cl.transport.adaptive import relative_error, render_to_error
+from cloudtomo_cl.transport.radiance import RadianceOperator
 
 SCENE = SCENES["forward peak"]
 

@@ -7,10 +7,10 @@ import pyopencl.array
 import pytest
 from scenes import ABOVE, CAMERA, SCENES, extinction_of
 
-from cloudtomo_cl.audit import Audit, combined
 from cloudtomo_cl.errors import AuditError, TransportError
-from cloudtomo_cl.radiance_field import RadianceField
-from cloudtomo_cl.transport import RadianceOperator
+from cloudtomo_cl.transport.audit import Audit, combined
+from cloudtomo_cl.transport.derivatives import RadianceField
+from cloudtomo_cl.transport.radiance import RadianceOperator
 
 SOUND = Audit(
     launched=1000, top=0.5, bottom=0.1, sides=0.1, missed=0.0, absorbed=0.2, surface=0.1, killed=0.0,
@@ -53,7 +53,7 @@ def test_audits_combine_by_their_paths():
 
 def test_a_kernel_that_loses_weight_is_caught(device, monkeypatch):
     """The host takes the kernels' unit of weight for another: as if every path lost a thousandth."""
-    monkeypatch.setattr("cloudtomo_cl.audit.WEIGHT_UNIT", 2.0**24 * 1.001)
+    monkeypatch.setattr("cloudtomo_cl.transport.audit.WEIGHT_UNIT", 2.0**24 * 1.001)
     scene = SCENES["forward peak"]
     with pytest.raises(AuditError, match="add up|paths came to an end"):
         RadianceOperator(scene, [ABOVE], device).render(extinction_of(scene), 100)
@@ -79,7 +79,7 @@ def test_paths_that_bring_something_else_when_walked_again_are_caught(device, wa
 
 
 def test_a_gradient_that_overflows_is_an_error(device, monkeypatch):
-    monkeypatch.setattr("cloudtomo_cl.transport.FIXED_POINT_SCALE", 2.0**68)
+    monkeypatch.setattr("cloudtomo_cl.transport.radiance.FIXED_POINT_SCALE", 2.0**68)
     scene = SCENES["forward peak"]
     operator = RadianceOperator(scene, [ABOVE], device)
     rendering = operator.render(extinction_of(scene), 100, keep_paths=True)

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from cloudtomo_cl import reference, reference_random
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.layout import ray_array, scene_struct, view_structs
-from cloudtomo_cl.scene import Scene, Sun
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
+from cloudtomo_cl.opencl.layout import ray_array, scene_struct, view_structs
+from cloudtomo_cl.reference import paths as reference
+from cloudtomo_cl.reference import random as reference_random
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.scene import Scene, Sun
+from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
 
 GRID = Grid(shape=(4, 4, 5), spacing=(0.1, 0.1, 0.05), origin=(1.0, -2.0, 0.3))
 SEED = 11

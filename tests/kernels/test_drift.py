@@ -8,7 +8,7 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from cloudtomo_cl.layout import STRUCTS, WEIGHT_UNIT
+from cloudtomo_cl.opencl.layout import STRUCTS, WEIGHT_UNIT
 
 PHOTONS_BEFORE = 1_000_000_000
 PATHS = 100_000

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.phase import HenyeyGreenstein
-from cloudtomo_cl.reference_scattering import henyey_greenstein
-from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, RayView
-from cloudtomo_cl.transport import RadianceOperator
+from cloudtomo_cl.reference.scattering import henyey_greenstein
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.phase import HenyeyGreenstein
+from cloudtomo_cl.scene.scene import Air, Boundary, Cloud, Scene, Sun, Surface
+from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, RayView
+from cloudtomo_cl.transport.radiance import RadianceOperator
 
 # Where a result is random, it may lie this many standard errors away: a probability of
 # 6e-5 per comparison for a normal distribution, with fixed seeds.

@@ -10,12 +10,13 @@ import pytest
 from scenes import TABLE
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.phase import HenyeyGreenstein
-from cloudtomo_cl.radiance_field import _AZIMUTHS, _EDGES, BINS, RadianceField, neighbours, scattering_matrix
-from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
-from cloudtomo_cl.sensors import OrthographicView, RayView
-from cloudtomo_cl.transport import RadianceOperator
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.phase import HenyeyGreenstein
+from cloudtomo_cl.scene.pixels import neighbours
+from cloudtomo_cl.scene.scene import Air, Boundary, Cloud, Scene, Sun, Surface
+from cloudtomo_cl.scene.sensors import OrthographicView, RayView
+from cloudtomo_cl.transport.derivatives import _AZIMUTHS, _EDGES, BINS, RadianceField, scattering_matrix
+from cloudtomo_cl.transport.radiance import RadianceOperator
 
 GRID = Grid(shape=(5, 5, 5), spacing=(0.05, 0.05, 0.05), origin=(0.0, 0.0, 0.1))
 VIEWS = [OrthographicView(width=0.4, pixels=(6, 6), zenith=zenith, azimuth=40) for zenith in (0, 50)]
@@ -158,7 +159,7 @@ def test_the_jacobian_does_not_depend_on_how_launches_are_cut(device, monkeypatc
     rendering = operator.render(extinction(), 20, 3, 1, keep_paths=True)
     found = []
     for most in (32, 7):
-        monkeypatch.setattr("cloudtomo_cl.transport._PATHS_OF_ITEM", most)
+        monkeypatch.setattr("cloudtomo_cl.transport.radiance._PATHS_OF_ITEM", most)
         found.append(RadianceField(operator).jacobian(rendering))
     assert found[0].any()
     np.testing.assert_array_equal(*found)

@@ -12,13 +12,13 @@ import pyopencl.array
 import pytest
 from scipy import stats
 
-from cloudtomo_cl.grid import Grid, resample
-from cloudtomo_cl.phase import HenyeyGreenstein
-from cloudtomo_cl.prior import Prior, PriorOperator
-from cloudtomo_cl.radiance_field import RadianceField
-from cloudtomo_cl.scene import Cloud, Scene, Sun, Surface
-from cloudtomo_cl.sensors import OrthographicView
-from cloudtomo_cl.transport import RadianceOperator
+from cloudtomo_cl.inversion.priors import Prior, PriorOperator
+from cloudtomo_cl.scene.grid import Grid, resample
+from cloudtomo_cl.scene.phase import HenyeyGreenstein
+from cloudtomo_cl.scene.scene import Cloud, Scene, Sun, Surface
+from cloudtomo_cl.scene.sensors import OrthographicView
+from cloudtomo_cl.transport.derivatives import RadianceField
+from cloudtomo_cl.transport.radiance import RadianceOperator
 
 FINE = Grid(shape=(8, 8, 6), spacing=(0.04, 0.04, 0.05), origin=(0.0, 0.0, 0.1))
 SHAPES = [(2, 2, 2), (4, 4, 3), (8, 8, 6)]

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from scenes import GRID, OUTSIDE_AIR, PERIODIC, SCENES, TABLE, extinction_of, optics
 
-from cloudtomo_cl import reference, reference_random
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.flux import FluxOperator
-from cloudtomo_cl.layout import sun_view_struct
-from cloudtomo_cl.scene import Air, Cloud, Scene, Sun, Surface
+from cloudtomo_cl.opencl.layout import sun_view_struct
+from cloudtomo_cl.reference import paths as reference
+from cloudtomo_cl.reference import random as reference_random
+from cloudtomo_cl.scene.scene import Air, Cloud, Scene, Sun, Surface
+from cloudtomo_cl.transport.flux import FluxOperator
 
 FLUXES = ("reflected", "direct", "diffuse", "absorbed")
 

@@ -16,10 +16,10 @@ from scenes import (
 )
 from scipy import stats
 
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.scene import Air, Scene, Sun, Surface
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
-from cloudtomo_cl.transport import RadianceOperator
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.scene import Air, Scene, Sun, Surface
+from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView
+from cloudtomo_cl.transport.radiance import RadianceOperator
 
 SEED, ITERATION, SAMPLES = 8, 2, 8
 

@@ -4,7 +4,7 @@ import numpy as np
 import pyopencl.array as cl_array
 import pytest
 
-from cloudtomo_cl.optimizer import Descent, Optimizer
+from cloudtomo_cl.inversion.solvers.optimizer import Descent, Optimizer
 
 SHAPE = (3, 4, 2)
 FLOOR = 0.01

@@ -7,12 +7,13 @@ import pytest
 from scenes import TABLE
 from scipy import stats
 
-from cloudtomo_cl import reference_random, reference_scattering
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.layout import scene_struct
-from cloudtomo_cl.medium import profiles
-from cloudtomo_cl.phase import DoubleHenyeyGreenstein, HenyeyGreenstein
-from cloudtomo_cl.scene import Cloud, Scene, Sun
+from cloudtomo_cl.opencl.layout import scene_struct
+from cloudtomo_cl.reference import random as reference_random
+from cloudtomo_cl.reference import scattering as reference_scattering
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.phase import DoubleHenyeyGreenstein, HenyeyGreenstein
+from cloudtomo_cl.scene.scene import Cloud, Scene, Sun
+from cloudtomo_cl.transport.medium import profiles
 
 GAUSS_LEGENDRE = np.polynomial.legendre.leggauss(200)
 ASYMMETRIES = [-0.5, 0.0, 1e-4, 0.3, 0.85, 0.99]

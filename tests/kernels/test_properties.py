@@ -10,11 +10,11 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from scenes import kernel_paths, radiances, reference_paths
 
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.phase import HenyeyGreenstein
-from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, RayView
-from cloudtomo_cl.transport import RadianceOperator
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.phase import HenyeyGreenstein
+from cloudtomo_cl.scene.scene import Air, Boundary, Cloud, Scene, Sun, Surface
+from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, RayView
+from cloudtomo_cl.transport.radiance import RadianceOperator
 
 THE_SAME_EVERY_TIME = {
     "derandomize": True,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cloudtomo_cl import reference_random
+from cloudtomo_cl.reference import random as reference_random
 
 
 @pytest.mark.parametrize(

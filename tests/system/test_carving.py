@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloudtomo_cl.carving import carve, coarsened
-from cloudtomo_cl.clouds import cumulus
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.io import read_extinction
-from cloudtomo_cl.measurements import Measurements
-from cloudtomo_cl.scene import Scene, Sun, Surface
-from cloudtomo_cl.sensors import PerspectiveView
-from cloudtomo_cl.transport import RadianceOperator
+from cloudtomo_cl.clouds.generate import cumulus
+from cloudtomo_cl.files.extinction import read_extinction
+from cloudtomo_cl.inversion.carving import carve
+from cloudtomo_cl.scene.grid import Grid, coarsened
+from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.scene import Scene, Sun, Surface
+from cloudtomo_cl.scene.sensors import PerspectiveView
+from cloudtomo_cl.transport.radiance import RadianceOperator
 
 DATA = Path(os.environ.get("CLOUDTOMO_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from cloudtomo_cl import commands, plots
+from cloudtomo_cl.commands import reconstruct as commands
+from cloudtomo_cl.report import plots
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "fuzz.py"
 

@@ -7,7 +7,7 @@ import pytest
 
 import cloudtomo_cl as ct
 from cloudtomo_cl.errors import DataError, TransportError
-from cloudtomo_cl.gauss_newton import GaussNewton
+from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 
 STAGES = (
     ct.Stage(grid=(4, 4, 4), pixels=0.5, samples=32, iterations=4),
@@ -78,7 +78,7 @@ def test_no_iteration_begins_that_would_end_after_the_time_limit(
         return iterate(*arguments)
 
     monkeypatch.setattr(GaussNewton, "iterate", of_ten_seconds)
-    monkeypatch.setattr("cloudtomo_cl.inversion._Run.seconds", property(lambda run: clock[0]))
+    monkeypatch.setattr("cloudtomo_cl.inversion.reconstruct._Run.seconds", property(lambda run: clock[0]))
     stages = [replace(STAGES[0], iterations=3)]
     result = recover(problem, device, stages=stages, time_limit=time_limit)
     assert len(result.history) == iterations

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from cloudtomo_cl.cli import main
-from cloudtomo_cl.droplets import DropletTable
-from cloudtomo_cl.io import write_rays
-from cloudtomo_cl.phase import TabulatedPhaseFunction
-from cloudtomo_cl.phase_files import write_phase_function
-from cloudtomo_cl.sensors import RayView
+from cloudtomo_cl.commands.cli import main
+from cloudtomo_cl.files.measurements import write_rays
+from cloudtomo_cl.files.phase import write_phase_function
+from cloudtomo_cl.scene.droplets import DropletTable
+from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
+from cloudtomo_cl.scene.sensors import RayView
 
 SCENE = """
 [cloud]

@@ -9,12 +9,12 @@ import pytest
 from plane_parallel import h_function, henyey_greenstein_moments, layer, rayleigh_moments
 
 from cloudtomo_cl import validation
-from cloudtomo_cl.flux import FluxOperator
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.phase import HenyeyGreenstein
-from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
-from cloudtomo_cl.sensors import RadiometerView
-from cloudtomo_cl.transport import RadianceOperator
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.phase import HenyeyGreenstein
+from cloudtomo_cl.scene.scene import Air, Boundary, Cloud, Scene, Sun, Surface
+from cloudtomo_cl.scene.sensors import RadiometerView
+from cloudtomo_cl.transport.flux import FluxOperator
+from cloudtomo_cl.transport.radiance import RadianceOperator
 
 # Standard errors that a comparison allows: a probability of 6e-5 each, with fixed seeds.
 SIGMAS = 4.0

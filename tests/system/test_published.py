@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloudtomo_cl import i3rc, validation
+from cloudtomo_cl import validation
+from cloudtomo_cl.files import i3rc
 
 SIGMAS = 4.0
 # What the noise may be, relative to the value: a test that any value passes is none.

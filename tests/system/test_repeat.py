@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from cloudtomo_cl.cli import main
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.io import write_extinction
+from cloudtomo_cl.commands.cli import main
+from cloudtomo_cl.files.extinction import write_extinction
+from cloudtomo_cl.scene.grid import Grid
 
 SCENE = """
 [cloud]

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.cli import main
+from cloudtomo_cl.commands.cli import main
 from cloudtomo_cl.errors import DataError, DeviceError, TransportError
-from cloudtomo_cl.radiance_field import RadianceField
+from cloudtomo_cl.transport.derivatives import RadianceField
 
 STAGES = (
     ct.Stage(grid=(3, 3, 3), pixels=0.5, samples=8, iterations=4),
@@ -59,7 +59,7 @@ def timeless(history):
     ids=["gauss-newton", "adam by the field", "sgd by replay"],
 )
 def test_every_checkpoint_leads_to_the_same_bits(problem, device, optimizer, monkeypatch):
-    monkeypatch.setattr("cloudtomo_cl.checkpoint._LEAST_WORK", 0.0)
+    monkeypatch.setattr("cloudtomo_cl.inversion.checkpoint._LEAST_WORK", 0.0)
     taken = []
     options = {"optimizer": optimizer, "uncertainty": 3}
     whole = recover(problem, device, **options, checkpoint=taken.append, checkpoint_interval=0.0)
@@ -181,7 +181,7 @@ def test_a_signal_keeps_all_and_the_same_command_goes_on(folder, name, status):
     assert files == ["checkpoint.npz", "figures", "history.csv", "reconstruction.nc", "settings.json"]
     iterations = len(history.read_text().splitlines()) - 1
     assert ct.read_extinction(folder / "run" / "reconstruction.nc")[1].max() > 0
-    from cloudtomo_cl.checkpoint import read_checkpoint
+    from cloudtomo_cl.inversion.checkpoint import read_checkpoint
 
     assert read_checkpoint(folder / "run" / "checkpoint.npz").iterations == iterations
 

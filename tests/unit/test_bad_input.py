@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.cli import main
+from cloudtomo_cl.commands.cli import main
 
 SCENE = """
 [cloud]
@@ -226,7 +226,7 @@ def test_a_wrong_run_is_named(folder, capsys, case):
 def test_a_report_of_damaged_settings_is_refused(folder, capsys, content):
     (folder / "run").mkdir()
     extinction = ct.read_extinction("cloud.nc")[1]
-    from cloudtomo_cl.runfolder import RunFolder
+    from cloudtomo_cl.commands.run_folder import RunFolder
 
     RunFolder("run").write_reconstruction(GRID, extinction, extinction > 0, {})
     (folder / "run" / "settings.json").write_text(content)
@@ -237,7 +237,7 @@ def test_a_report_of_damaged_settings_is_refused(folder, capsys, content):
 def test_a_report_of_a_damaged_history_is_refused(folder, capsys, content):
     (folder / "run").mkdir()
     extinction = ct.read_extinction("cloud.nc")[1]
-    from cloudtomo_cl.runfolder import RunFolder
+    from cloudtomo_cl.commands.run_folder import RunFolder
 
     RunFolder("run").write_reconstruction(GRID, extinction, extinction > 0, {})
     (folder / "run" / "settings.json").write_text(json.dumps({"files": {}}))
@@ -299,8 +299,8 @@ def test_a_read_only_disk_is_named(folder, small_disk, capsys, command):
 def test_a_disk_that_fills_up_during_a_run_keeps_the_last_checkpoint(folder):
     """The largest file that may be written is as large as the first checkpoints: later ones fail."""
     code = (
-        "import resource, sys, cloudtomo_cl.checkpoint as c\n"
-        "from cloudtomo_cl.cli import main\n"
+        "import resource, sys, cloudtomo_cl.inversion.checkpoint as c\n"
+        "from cloudtomo_cl.commands.cli import main\n"
         "write = c.Checkpoint.write\n"
         "def limited(self, path):\n"
         "    if len(self.history) >= 3:\n"
@@ -316,7 +316,7 @@ def test_a_disk_that_fills_up_during_a_run_keeps_the_last_checkpoint(folder):
     result = subprocess.run(command, capture_output=True, text=True, timeout=120, env={**os.environ})
     assert result.returncode == 2 and "Traceback" not in result.stderr, result.stderr
     assert "could not be written" in result.stderr and "--resume" in result.stderr
-    from cloudtomo_cl.checkpoint import read_checkpoint
+    from cloudtomo_cl.inversion.checkpoint import read_checkpoint
 
     assert len(read_checkpoint(folder / "new" / "checkpoint.npz").history) < 3
     assert not list(Path("new").glob(".*.partial"))

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloudtomo_cl.checkpoint import Checkpoint, Checkpoints, read_checkpoint
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.files import written_whole
+from cloudtomo_cl.files.whole import written_whole
+from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, read_checkpoint
 
 
 def some_checkpoint(**changes):
@@ -121,7 +121,7 @@ def test_no_source_reads_pickles():
 
 
 def test_another_format_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr("cloudtomo_cl.checkpoint.FORMAT", 99)
+    monkeypatch.setattr("cloudtomo_cl.inversion.checkpoint.FORMAT", 99)
     some_checkpoint().write(tmp_path / "checkpoint.npz")
     monkeypatch.undo()
     with pytest.raises(DataError, match="has format 99"):
@@ -153,7 +153,7 @@ def test_a_checkpoint_of_another_run_names_the_key(change, text):
 
 def test_checkpoints_are_taken_first_then_when_it_is_time_and_at_ends(monkeypatch):
     clock = [0.0]
-    monkeypatch.setattr("cloudtomo_cl.checkpoint.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("cloudtomo_cl.inversion.checkpoint.time.monotonic", lambda: clock[0])
     taken = []
     checkpoints = Checkpoints(taken.append, 60.0)
     for iteration in range(1, 10):
@@ -166,7 +166,7 @@ def test_checkpoints_are_taken_first_then_when_it_is_time_and_at_ends(monkeypatc
 
 def test_slow_checkpoints_are_rare(monkeypatch):
     clock = [0.0]
-    monkeypatch.setattr("cloudtomo_cl.checkpoint.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("cloudtomo_cl.inversion.checkpoint.time.monotonic", lambda: clock[0])
 
     def slow(checkpoint):
         taken.append(checkpoint)

@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from cloudtomo_cl import commands
-from cloudtomo_cl.cli import main
-from cloudtomo_cl.config import read_reconstruct_settings, read_render_settings
-from cloudtomo_cl.config import views as expanded
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.io import read_extinction, write_extinction, write_rays
-from cloudtomo_cl.optimizer import Optimizer
-from cloudtomo_cl.prior import Prior
-from cloudtomo_cl.sensors import RayView
+from cloudtomo_cl.commands import reconstruct as commands
+from cloudtomo_cl.commands.cli import main
+from cloudtomo_cl.files.extinction import read_extinction, write_extinction
+from cloudtomo_cl.files.measurements import write_rays
+from cloudtomo_cl.inversion.priors import Prior
+from cloudtomo_cl.inversion.solvers.optimizer import Optimizer
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.sensors import RayView
+from cloudtomo_cl.settings.tables import read_reconstruct_settings, read_render_settings
+from cloudtomo_cl.settings.tables import views as expanded
 
 SCENE = """
 [cloud]
@@ -89,7 +90,7 @@ def fails(capsys, *arguments):
 
 @pytest.mark.parametrize("module", ["pyopencl", "xarray", "matplotlib", "scipy.ndimage"])
 def test_help_waits_for_no_slow_import(module):
-    code = f"import sys, cloudtomo_cl.cli as c; c.parser().format_help(); sys.exit({module!r} in sys.modules)"
+    code = f"import sys, cloudtomo_cl.commands.cli as c; c.parser().format_help(); sys.exit({module!r} in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
 
 

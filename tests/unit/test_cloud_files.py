@@ -8,12 +8,12 @@ import pytest
 import xarray as xr
 from scipy.io import savemat
 
-from cloudtomo_cl.cloud_files import ReadingOptions, read_cloud
-from cloudtomo_cl.droplets import DropletTable
+from cloudtomo_cl.clouds.readers import ReadingOptions, read_cloud
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.io import write_extinction
-from cloudtomo_cl.phase import TabulatedPhaseFunction
-from cloudtomo_cl.phase_files import write_phase_function
+from cloudtomo_cl.files.extinction import write_extinction
+from cloudtomo_cl.files.phase import write_phase_function
+from cloudtomo_cl.scene.droplets import DropletTable
+from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
 
 DATA = Path(os.environ.get("CLOUDTOMO_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
 POINTS = [(0, 1, 0, 0.3, 10.0), (2, 0, 1, 0.6, 12.0), (1, 1, 2, 0.1, 15.0)]  # x, y, z, g m^-3, um

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from cloudtomo_cl.cloud_volume import CloudVolume, uniform_layers
-from cloudtomo_cl.droplets import extinction_from_water
+from cloudtomo_cl.clouds.volume import CloudVolume, uniform_layers
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.scene.droplets import extinction_from_water
+from cloudtomo_cl.scene.grid import Grid
 
 OPEN = (None, None)
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from cloudtomo_cl.clouds import PRESETS, Turbulence, cumulus, stratocumulus
+from cloudtomo_cl.clouds.generate import PRESETS, Turbulence, cumulus, stratocumulus
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.grid import Grid, resample
+from cloudtomo_cl.scene.grid import Grid, resample
 
 GRID = Grid(shape=(38, 38, 38), spacing=(0.02, 0.02, 0.04))
 SEEDS = range(4)

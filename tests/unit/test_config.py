@@ -5,16 +5,17 @@ import json
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from cloudtomo_cl.config import read_reconstruct_settings, read_render_settings, stored_scene
 from cloudtomo_cl.errors import DataError, SettingsError
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.optimizer import Optimizer
-from cloudtomo_cl.phase import DoubleHenyeyGreenstein, HenyeyGreenstein, PhaseFunction, TabulatedPhaseFunction
-from cloudtomo_cl.phase_files import write_phase_function
-from cloudtomo_cl.prior import Prior
-from cloudtomo_cl.scene import Air, Boundary, Cloud, Scene, Sun, Surface
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView
-from cloudtomo_cl.stages import Stage
+from cloudtomo_cl.files.phase import write_phase_function
+from cloudtomo_cl.inversion.priors import Prior
+from cloudtomo_cl.inversion.solvers.optimizer import Optimizer
+from cloudtomo_cl.inversion.stages import Stage
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.phase import DoubleHenyeyGreenstein, HenyeyGreenstein, PhaseFunction, TabulatedPhaseFunction
+from cloudtomo_cl.scene.scene import Air, Boundary, Cloud, Scene, Sun, Surface
+from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView
+from cloudtomo_cl.settings.stored import stored_scene
+from cloudtomo_cl.settings.tables import read_reconstruct_settings, read_render_settings
 
 SCENE = """
 [cloud]

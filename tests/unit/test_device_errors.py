@@ -6,8 +6,8 @@ import pyopencl.array
 import pytest
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.device import Device, choose_device, device_errors, kernels_folder, list_devices
 from cloudtomo_cl.errors import BuildError, DeviceError
+from cloudtomo_cl.opencl.device import Device, choose_device, device_errors, kernels_folder, list_devices
 
 GRID = ct.Grid(shape=(2, 2, 2), spacing=(0.2, 0.2, 0.2))
 SCENE = ct.Scene(grid=GRID, sun=ct.Sun(zenith=30.0))
@@ -158,7 +158,7 @@ def test_no_platform_is_named(monkeypatch):
 @pytest.mark.parametrize("where", ["cloudtomo_cl/kernels", "kernels"], ids=["installed", "checkout"])
 def test_kernels_are_found_in_a_package_and_beside_it(monkeypatch, tmp_path, where):
     (tmp_path / where).mkdir(parents=True)
-    monkeypatch.setattr("cloudtomo_cl.device.__file__", str(tmp_path / "cloudtomo_cl" / "device.py"))
+    monkeypatch.setattr("cloudtomo_cl.opencl.device.__file__", str(tmp_path / "cloudtomo_cl" / "opencl" / "device.py"))
     assert kernels_folder() == tmp_path / where
 
 
@@ -169,12 +169,12 @@ def test_kernels_build_from_a_folder_with_a_space(monkeypatch, tmp_path):
     folder = tmp_path / "a folder with spaces"
     shutil.copytree(kernels_folder(), folder)
     (folder / "only_here.h").write_text("#define ONLY_HERE 1\n")
-    monkeypatch.setattr("cloudtomo_cl.device.kernels_folder", lambda: folder)
+    monkeypatch.setattr("cloudtomo_cl.opencl.device.kernels_folder", lambda: folder)
     device = Device(cl.get_platforms()[0].get_devices()[0])
     device.build('#include "only_here.h"\n#include "rng.h"\n__kernel void f(__global int *a) { a[0] = ONLY_HERE; }')
 
 
 def test_a_device_that_is_known_to_compute_wrongly_is_told(monkeypatch):
-    monkeypatch.setattr("cloudtomo_cl.device._FAULTS", {choose_device().name[:5]: "it cannot count"})
+    monkeypatch.setattr("cloudtomo_cl.opencl.device._FAULTS", {choose_device().name[:5]: "it cannot count"})
     with pytest.warns(RuntimeWarning, match="it cannot count"):
         choose_device()

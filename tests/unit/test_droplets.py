@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from cloudtomo_cl.droplets import DropletTable, extinction_from_water
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.phase import TabulatedPhaseFunction
-from cloudtomo_cl.water import water_refractive_index
+from cloudtomo_cl.scene.droplets import DropletTable, extinction_from_water
+from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
+from cloudtomo_cl.scene.water import water_refractive_index
 
 FUNCTION = TabulatedPhaseFunction((0, 180), np.full((2, 2), 1 / (4 * np.pi)), (5.0, 15.0))
 TABLE = DropletTable(FUNCTION, (2.4, 2.2), 672.0, 0.1, 1.331, 2e-8)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from cloudtomo_cl.cli import parser
-from cloudtomo_cl.config import read_reconstruct_settings, read_render_settings
+from cloudtomo_cl.commands.cli import parser
+from cloudtomo_cl.settings.tables import read_reconstruct_settings, read_render_settings
 
 TOP = Path(__file__).parents[2]
 PAGES = [TOP / "README.md", *sorted((TOP / "docs").rglob("*.md"))]

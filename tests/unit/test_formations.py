@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from cloudtomo_cl.formations import MISR_ANGLES, RingOfViews, StringOfScans, StringOfViews, fisheye_rays
-from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.scene.formations import MISR_ANGLES, RingOfViews, StringOfScans, StringOfViews, fisheye_rays
+from cloudtomo_cl.scene.grid import Grid
 
 GRID = Grid(shape=(4, 4, 4), spacing=(0.1, 0.1, 0.1))
 TARGET = (0.25, 0.15, 0.2)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cloudtomo_cl.grid import Grid, resample, resample_in_mask
+from cloudtomo_cl.scene.grid import Grid, resample, resample_in_mask
 
 SHAPES = [((4, 6, 8), (8, 6, 4)), ((4, 4, 4), (6, 11, 38)), ((38, 38, 38), (11, 7, 3)), ((3, 5, 2), (3, 5, 2))]
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.measurements import Measurements
-from cloudtomo_cl.seen_pixels import seen_pixels
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, RayView
+from cloudtomo_cl.inversion.pixels import seen_pixels
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, RayView
 
 
 def measurements(random, width=12, height=8):

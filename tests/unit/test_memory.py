@@ -7,8 +7,8 @@ import xarray as xr
 import cloudtomo_cl as ct
 from cloudtomo_cl import memory
 from cloudtomo_cl.errors import DataError, DeviceError
-from cloudtomo_cl.inversion import check_memory
-from cloudtomo_cl.io import read_extinction
+from cloudtomo_cl.files.extinction import read_extinction
+from cloudtomo_cl.inversion.reconstruct import check_memory
 
 GRID = ct.Grid(shape=(4, 4, 4), spacing=(0.1, 0.1, 0.1))
 SCENE = ct.Scene(grid=GRID, sun=ct.Sun(zenith=30.0))

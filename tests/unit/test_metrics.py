@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.metrics import delta, epsilon
+from cloudtomo_cl.scene.metrics import delta, epsilon
 
 TRUTH = np.array([[[1.0, 3.0], [0.0, 4.0]]])
 

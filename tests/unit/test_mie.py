@@ -7,10 +7,10 @@ import pytest
 from numpy.polynomial.legendre import leggauss, legval
 from scipy.stats import gamma
 
-from cloudtomo_cl import mie
-from cloudtomo_cl.cli import main
+from cloudtomo_cl.clouds import mie
+from cloudtomo_cl.commands.cli import main
 from cloudtomo_cl.errors import DataError, MissingPackageError
-from cloudtomo_cl.phase_files import read_droplet_table
+from cloudtomo_cl.files.phase import read_droplet_table
 
 WATER = 1.331 - 2.15e-8j
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.measurements import Measurements
-from cloudtomo_cl.noise import Noise
-from cloudtomo_cl.sensors import OrthographicView
+from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.noise import Noise
+from cloudtomo_cl.scene.sensors import OrthographicView
 
 SIZE = 200
 LEVEL = 0.04

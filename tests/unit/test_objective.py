@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from cloudtomo_cl.objective import Gains, LaggedResidual, pixel_weights, relative_weights
-from cloudtomo_cl.seen_pixels import SeenPixels
-from cloudtomo_cl.sensors import OrthographicView
+from cloudtomo_cl.inversion.objective import Gains, LaggedResidual, pixel_weights, relative_weights
+from cloudtomo_cl.inversion.pixels import SeenPixels
+from cloudtomo_cl.scene.sensors import OrthographicView
 
 PIXELS = 400
 MEASURED = np.full(PIXELS, 1.0)

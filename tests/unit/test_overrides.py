@@ -3,7 +3,7 @@
 import pytest
 
 from cloudtomo_cl.errors import SettingsError
-from cloudtomo_cl.overrides import with_overrides
+from cloudtomo_cl.settings.overrides import with_overrides
 
 TABLES = {"sun": {"zenith": 30.0}, "view": [{"pixels": [4, 4]}, {"pixels": [6, 6]}]}
 

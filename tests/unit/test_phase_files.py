@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from cloudtomo_cl.droplets import DropletTable
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.phase import TabulatedPhaseFunction
-from cloudtomo_cl.phase_files import read_droplet_table, read_phase_function, write_phase_function
+from cloudtomo_cl.files.phase import read_droplet_table, read_phase_function, write_phase_function
+from cloudtomo_cl.scene.droplets import DropletTable
+from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
 
 ANGLE = np.array([0.0, 1.0, 5.0, 40.0, 90.0, 150.0, 180.0])
 SHAPES = np.array([(90.0, 60.0, 20.0, 1.0, 0.1, 0.2, 0.4), (9.0, 8.0, 5.0, 1.0, 0.1, 0.1, 0.0)])

@@ -5,7 +5,7 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 from scipy.integrate import quad
 
-from cloudtomo_cl.phase import (
+from cloudtomo_cl.scene.phase import (
     DoubleHenyeyGreenstein,
     HenyeyGreenstein,
     PhaseFunction,

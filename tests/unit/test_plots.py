@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.measurements import Measurements
-from cloudtomo_cl.phase import HenyeyGreenstein, TabulatedPhaseFunction
-from cloudtomo_cl.plots import (
+from cloudtomo_cl.report.plots import (
     new_figure,
     plot_history,
     plot_images,
@@ -22,7 +19,10 @@ from cloudtomo_cl.plots import (
     save_figures,
     save_previews,
 )
-from cloudtomo_cl.sensors import OrthographicView
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.phase import HenyeyGreenstein, TabulatedPhaseFunction
+from cloudtomo_cl.scene.sensors import OrthographicView
 
 GRID = Grid((6, 5, 8), (0.1, 0.1, 0.1), (1.0, 2.0, 3.0))
 

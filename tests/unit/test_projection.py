@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView
 
 GRID = Grid(shape=(4, 5, 6), spacing=(0.1, 0.1, 0.2))
 VIEWS = [

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from cloudtomo_cl import reference, reference_prior
-from cloudtomo_cl.grid import Grid
+from cloudtomo_cl.reference import paths as reference
+from cloudtomo_cl.reference import prior as reference_prior
+from cloudtomo_cl.scene.grid import Grid
 
 SHAPE = (4, 5, 6)
 

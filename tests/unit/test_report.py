@@ -8,11 +8,11 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.measurements import Measurements
-from cloudtomo_cl.progress import with_error
-from cloudtomo_cl.report import report_page
-from cloudtomo_cl.sensors import OrthographicView
+from cloudtomo_cl.commands.progress import with_error
+from cloudtomo_cl.report.page import report_page
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.sensors import OrthographicView
 
 GRID = Grid((6, 5, 8), (0.1, 0.2, 0.3), (1.0, 2.0, 3.0))
 TRUTH = np.random.default_rng(1).uniform(-50, 90, GRID.shape).clip(0)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from cloudtomo_cl.commands.run_folder import RunFolder
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.runfolder import RunFolder
+from cloudtomo_cl.scene.grid import Grid
 
 GRID = Grid((2, 3, 4), (0.1, 0.2, 0.3))
 

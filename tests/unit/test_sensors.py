@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.scene import Air, Boundary, Scene, Sun
-from cloudtomo_cl.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.scene import Air, Boundary, Scene, Sun
+from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
 
 PERSPECTIVE = {"position": (0.0, 0.0, 2.0), "target": (0.5, 0.5, 0.0), "field_of_view": 30.0, "pixels": (4, 4)}
 

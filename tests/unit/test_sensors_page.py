@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloudtomo_cl import formations, sensors
-from cloudtomo_cl.config import read_render_settings, views
-from cloudtomo_cl.io import write_rays
+from cloudtomo_cl.files.measurements import write_rays
+from cloudtomo_cl.scene import formations, sensors
+from cloudtomo_cl.settings.tables import read_render_settings, views
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "sensors.md"
 TABLES = re.findall(r"```toml\n(.*?)```", PAGE.read_text(), flags=re.DOTALL)

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from cloudtomo_cl.settings_reference import page, undocumented
+from cloudtomo_cl.settings.reference_page import page, undocumented
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "settings.md"
 

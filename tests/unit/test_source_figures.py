@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloudtomo_cl.config import tomllib
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.measurements import Measurements
-from cloudtomo_cl.metrics import epsilon
-from cloudtomo_cl.sensors import OrthographicView
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.metrics import epsilon
+from cloudtomo_cl.scene.sensors import OrthographicView
+from cloudtomo_cl.settings.tables import tomllib
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cloudtomo_cl.grid import Grid
-from cloudtomo_cl.stages import automatic_stages, has_settled
+from cloudtomo_cl.inversion.stages import automatic_stages, has_settled
+from cloudtomo_cl.scene.grid import Grid
 
 
 @pytest.mark.parametrize("shape", [(38, 38, 38), (86, 86, 27), (6, 6, 6), (3, 2, 1), (300, 2, 50)])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from cloudtomo_cl.reference_prior import smoothness_matrix
-from cloudtomo_cl.uncertainty import bounded_minimum, roughness, standard_errors
+from cloudtomo_cl.inversion.uncertainty import bounded_minimum, roughness, standard_errors
+from cloudtomo_cl.reference.prior import smoothness_matrix
 
 SHAPE = (4, 3, 5)
 PIXELS = 90

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cloudtomo_cl import i3rc, validation
-from cloudtomo_cl.cli import main
+from cloudtomo_cl import validation
+from cloudtomo_cl.commands.cli import main
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.files import i3rc
 from cloudtomo_cl.validation import Row, compare_columns
 
 ROW = Row("a slab", "R", "somebody", published=0.5, value=0.5, standard_error=1e-4, photons=1000)

@@ -1,0 +1,1 @@
+"""Clouds: generated ones, those of other programs' files, and their droplets' optics."""

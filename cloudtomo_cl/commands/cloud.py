@@ -1,0 +1,211 @@
+"""`cloudtomo cloud`: read, generate, change, summarise, plot and write clouds. Imports what is slow when it runs."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cloudtomo_cl.errors import DataError, SettingsError
+
+if TYPE_CHECKING:
+    from cloudtomo_cl.clouds.volume import CloudVolume
+    from cloudtomo_cl.scene.grid import Grid
+
+DESCRIPTION = """\
+Read a cloud, or generate one; crop, pad, rotate, coarsen and tile it (in this order); summarise, plot, write it.
+
+FILE may be
+  netCDF    extinction, liquid water content or mixing ratio over x, y, z, in m or km, also on stretched levels;
+            AT3D's files (density, reff) among them
+  text      pyshdom's, AT3D's and SHDOM's (liquid water content and effective radius), I3RC's tau with dz beside it
+  .npy .mat a three-dimensional array, with --spacing and --units
+Water becomes extinction by 3 LWC / (2 rho r_e), or by a table of `cloudtomo mie`. What is written is netCDF with
+extinction(x, y, z) in km^-1 on uniform voxels, and effective_radius in um where it is known."""
+
+EXAMPLES = """\
+examples:
+  cloudtomo cloud rico32x37x26.txt --output cloud.nc --png cloud.png
+  cloudtomo cloud les.nc --variable QN --time -1 --droplet-number 70 --crop x=1.2:2.4 y=0:1.2 --output cloud.nc
+  cloudtomo cloud extinction.npy --spacing 0.02 0.02 0.04 --units m-1 --order zyx --output cloud.nc
+  cloudtomo cloud cloud.nc --pad x=2 y=2 z=0:4 --coarsen 2 2 1 --output coarse.nc
+  cloudtomo cloud --generate cumulus --shape 32 32 32 --spacing 0.025 0.025 0.025 --seed 1 --output cloud.nc"""
+
+
+def add_arguments(parser: argparse.ArgumentParser, seed: Callable[[str], int]) -> None:
+    """The options of the command; they are the parameters of `cloud`. `seed` reads one."""
+    triple: dict[str, Any] = {"nargs": 3, "metavar": ("DX", "DY", "DZ")}
+    parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="the cloud to read")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="where the cloud goes, netCDF")
+    parser.add_argument("--png", type=Path, metavar="FILE", help="a picture of it (.png, .pdf, .svg)")
+
+    made = parser.add_argument_group("to generate one")
+    made.add_argument("--generate", metavar="KIND", help="cumulus, field, tower or stratocumulus")
+    made.add_argument("--shape", nargs=3, type=int, metavar=("NX", "NY", "NZ"), help="voxels along x, y, z")
+    made.add_argument("--seed", type=seed, default=0, help="of the generated cloud (default 0)")
+
+    read = parser.add_argument_group("to read one: what the file leaves open")
+    read.add_argument("--spacing", type=float, **triple, help="edges of a voxel, km (also of a generated cloud)")
+    read.add_argument("--variable", metavar="NAME", help="the field, where there are several")
+    read.add_argument("--units", metavar="UNIT", help="of the field: km-1, m-1, 'g m-3', 'kg m-3', 'g kg-1', 'kg kg-1'")
+    read.add_argument("--order", default="xyz", metavar="AXES", help="axes of a plain array (default xyz)")
+    read.add_argument("--time", type=int, metavar="INDEX", help="time step, from 0; -1 is the last")
+    read.add_argument("--effective-radius", type=float, metavar="UM", help="of all droplets, um")
+    read.add_argument("--droplet-number", type=float, metavar="N", help="cm^-3; gives the radius where no file does")
+    read.add_argument("--droplet-table", type=Path, metavar="FILE", help="Mie table that water becomes extinction by")
+    read.add_argument("--layer", type=float, metavar="DZ", help="of uniform layers, km (default: the thinnest)")
+
+    change = parser.add_argument_group("to change it, in this order")
+    change.add_argument("--crop", nargs="+", metavar="AXIS=A:B", help="km, for instance x=0.2:0.6 z=:1.2")
+    change.add_argument("--pad", nargs="+", metavar="AXIS=N", help="clear voxels on both sides, or below:above: z=0:4")
+    change.add_argument("--rotate", type=int, metavar="DEGREES", help="about the vertical, from x to y: 90, 180, 270")
+    change.add_argument("--coarsen", nargs=3, type=int, metavar=("X", "Y", "Z"), help="voxels to average along x, y, z")
+    change.add_argument("--tile", nargs=2, type=int, metavar=("X", "Y"), help="copies along x and y")
+
+
+def cloud(
+    file: Path | None,
+    output: Path | None,
+    png: Path | None,
+    generate: str | None,
+    shape: list[int] | None,
+    seed: int,
+    crop: list[str] | None,
+    pad: list[str] | None,
+    rotate: int | None,
+    coarsen: list[int] | None,
+    tile: list[int] | None,
+    quiet: bool,
+    overwrite: bool,
+    **reading: Any,
+) -> None:
+    """Runs the command; `reading` are the fields of `ReadingOptions`."""
+    from cloudtomo_cl.files.netcdf import check_output
+
+    if (file is None) == (generate is None):
+        raise SettingsError("give either FILE, or --generate cumulus (or field, tower, stratocumulus)")
+    if generate is None and shape is not None:
+        raise SettingsError("--shape belongs to --generate; to change a file's voxels use --crop, --pad or --coarsen")
+    for path in (output, png):
+        if path is not None:
+            check_output(path, overwrite)
+    if file is not None:
+        volume = _read(file, reading)
+    else:
+        assert generate is not None
+        if output is None:
+            raise SettingsError("--generate needs --output too")
+        volume = _generated(generate, shape, reading["spacing"], seed)
+    steps = {"crop": crop, "pad": pad, "rotate": rotate, "coarsen": coarsen, "tile": tile}
+    volume = _changed(volume, steps)
+    if output is not None:
+        made: dict[str, Any] = {"generator": generate, "seed": seed} if file is None else {"cloud_file": file.name}
+        made.update(shape=shape, **reading, **steps)
+        _write(output, volume, {name: _plain(value) for name, value in made.items() if value is not None})
+    if png is not None:
+        _plot(png, volume)
+    if not quiet:
+        for name, value in volume.summary().items():
+            print(f"{name:<24}{value}")
+        for path in (output, png):
+            if path is not None:
+                print(f"{path} is written")
+
+
+def _plain(value: Any) -> Any:
+    """In the types of JSON."""
+    return value.name if isinstance(value, Path) else value
+
+
+def _read(file: Path, reading: dict[str, Any]) -> CloudVolume:
+    from cloudtomo_cl.clouds.readers import ReadingOptions, read_cloud
+
+    if reading["spacing"] is not None:
+        reading = {**reading, "spacing": tuple(reading["spacing"])}
+    for name, value in reading.items():
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, float) and not number > 0:
+                raise SettingsError(f"--{name.replace('_', '-')} is {number}: it must be above 0")
+    return read_cloud(file, ReadingOptions(**reading))
+
+
+def _generated(kind: str, shape: list[int] | None, spacing: list[float] | None, seed: int) -> CloudVolume:
+    from cloudtomo_cl.clouds.generate import PRESETS
+    from cloudtomo_cl.clouds.volume import CloudVolume
+
+    if kind not in PRESETS:
+        known = ", ".join(f"{name} ({preset.description})" for name, preset in PRESETS.items())
+        raise SettingsError(f"--generate {kind} is unknown: there are {known}")
+    preset = PRESETS[kind]
+    grid = _grid(shape or list(preset.grid.shape), spacing)
+    if spacing is None:
+        # Other voxels of the preset's own domain.
+        grid = preset.grid.with_shape(grid.shape)
+    return CloudVolume(grid, preset.generate(grid, seed))
+
+
+def _grid(shape: list[int], spacing: list[float] | None) -> Grid:
+    from pydantic import ValidationError
+
+    from cloudtomo_cl.scene.grid import Grid
+
+    try:
+        return Grid(shape=tuple(shape), spacing=tuple(spacing or (1.0, 1.0, 1.0)))  # type: ignore[arg-type]
+    except ValidationError as error:
+        first = error.errors()[0]
+        message = first["msg"].replace("Input should be", "must be")
+        raise SettingsError(f"--{first['loc'][0]}: {message}, is {first['input']}") from None
+
+
+def _changed(volume: CloudVolume, steps: dict[str, Any]) -> CloudVolume:
+    """Crop, pad, rotate, coarsen, tile: those that were asked for."""
+    if steps["crop"] is not None:
+        volume = volume.cropped(_pairs("crop", steps["crop"], float, (None, None)))
+    if steps["pad"] is not None:
+        volume = volume.padded(_pairs("pad", steps["pad"], int, (0, 0)))
+    if steps["rotate"] is not None:
+        volume = volume.rotated(steps["rotate"])
+    if steps["coarsen"] is not None:
+        volume = volume.coarsened(steps["coarsen"])
+    if steps["tile"] is not None:
+        volume = volume.tiled(*steps["tile"])
+    if not volume.extinction.any():
+        raise DataError("no cloud is left: extinction is zero in every voxel; crop less")
+    return volume
+
+
+def _pairs(option: str, words: list[str], number: Any, absent: tuple[Any, Any]) -> list[tuple[Any, Any]]:
+    """x=1:2 y=3 as a pair for x, y and z; one number stands for both, an empty one for what is absent."""
+    pairs = dict.fromkeys("xyz", absent)
+    for word in words:
+        axis, _, values = word.partition("=")
+        lower, colon, upper = values.partition(":")
+        try:
+            if axis not in pairs or not values or (option == "crop" and not colon):
+                raise ValueError
+            first = number(lower) if lower else absent[0]
+            pairs[axis] = (first, (number(upper) if upper else absent[1]) if colon else first)
+        except ValueError:
+            example = "x=0.2:0.6 z=:1.2 (km)" if option == "crop" else "x=2 z=0:4 (voxels)"
+            raise SettingsError(f"--{option} {word!r} is not understood: write for instance {example}") from None
+    return list(pairs.values())
+
+
+def _write(output: Path, volume: CloudVolume, made: dict[str, Any]) -> None:
+    from cloudtomo_cl.commands.provenance import source, versions
+    from cloudtomo_cl.files.extinction import write_extinction
+
+    attributes = {"source": source(), "settings": made, "versions": versions()}
+    write_extinction(output, volume.grid, volume.extinction, attributes, volume.effective_radius)
+
+
+def _plot(png: Path, volume: CloudVolume) -> None:
+    from cloudtomo_cl.report.plots import new_figure, plot_cloud
+
+    figure = new_figure(10, 7.5)
+    plot_cloud(figure, volume.grid, volume.extinction, volume.effective_radius)
+    try:
+        figure.savefig(png, dpi=130)
+    except (OSError, ValueError) as error:
+        raise DataError(f"{png}: could not be drawn ({error}): the name must end in .png, .pdf or .svg") from None

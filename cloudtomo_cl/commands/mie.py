@@ -1,0 +1,118 @@
+"""`cloudtomo mie`: tables of droplets' phase functions. Imports what is slow when it runs."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from cloudtomo_cl.errors import DataError, SettingsError
+
+DESCRIPTION = """\
+Compute phase functions and other optics of cloud droplets by Mie's theory.
+
+The droplets are spheres of water (or of --refractive-index) whose sizes follow a gamma distribution with the given
+effective radius and variance. The output is netCDF with phase_function(effective_radius, angle) in sr^-1,
+single_scattering_albedo, extinction_efficiency and mass_extinction (m^2 g^-1). It needs the package miepython:
+pip install 'cloudtomo-cl[mie]'."""
+
+EXAMPLES = """\
+examples:
+  cloudtomo mie --wavelength 672 --effective-radius 10 --output mie.nc
+  cloudtomo mie --wavelength 672 --effective-radius 5 25 --count 11 --output mie.nc --png mie.png
+
+and in a scene:
+  [cloud]
+  phase_function = { type = "table", file = "mie.nc" }"""
+
+_LARGEST_COUNT = 200
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the command; they are the parameters of `mie`."""
+    parser.add_argument("--wavelength", type=float, required=True, metavar="NM", help="nm")
+    parser.add_argument(
+        "--effective-radius", type=float, nargs="+", required=True, metavar="UM", help="of the droplets, um, increasing"
+    )
+    parser.add_argument("--count", type=int, metavar="N", help="so many radii, evenly from the first to the last")
+    parser.add_argument(
+        "--effective-variance", type=float, default=0.1, metavar="V", help="of the size distribution (default 0.1)"
+    )
+    parser.add_argument(
+        "--refractive-index",
+        type=float,
+        nargs=2,
+        metavar=("N", "K"),
+        help="real and imaginary part (default: water at 25 degrees C, Hale and Querry 1973)",
+    )
+    parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="the table, netCDF")
+    parser.add_argument("--png", type=Path, metavar="FILE", help="a picture of it (.png, .pdf, .svg)")
+
+
+def mie(
+    wavelength: float,
+    effective_radius: list[float],
+    count: int | None,
+    effective_variance: float,
+    refractive_index: list[float] | None,
+    output: Path,
+    png: Path | None,
+    quiet: bool,
+    overwrite: bool,
+) -> None:
+    """Makes a table of droplets' optics."""
+    import numpy as np
+    from rich.console import Console
+
+    from cloudtomo_cl.clouds.mie import droplet_table
+    from cloudtomo_cl.commands import progress
+    from cloudtomo_cl.commands.provenance import source, versions
+    from cloudtomo_cl.files.netcdf import check_output
+    from cloudtomo_cl.files.phase import write_phase_function
+
+    check_output(output, overwrite)
+    radii = list(effective_radius)
+    if count is not None:
+        if len(radii) != 2 or not 2 <= count <= _LARGEST_COUNT:
+            raise SettingsError(
+                f"--count {count} with {len(radii)} radii: it needs the first and the last --effective-radius, "
+                f"and must lie between 2 and {_LARGEST_COUNT}"
+            )
+        # Without the noise of divisions: 5.8, not 5.800000000000001.
+        radii = [float(f"{radius:.6g}") for radius in np.linspace(radii[0], radii[1], count)]
+    index = None if refractive_index is None else complex(refractive_index[0], -refractive_index[1])
+    console = Console(quiet=quiet)
+    with progress.counting(console, "droplet sizes") as show:
+        table = droplet_table(wavelength, radii, effective_variance, index, show)
+    settings = {
+        "wavelength": wavelength,
+        "effective_radius": list(radii),
+        "effective_variance": effective_variance,
+        "refractive_index": [table.refractive_index_real, table.refractive_index_imag],
+    }
+    write_phase_function(output, table, {"source": source(), "versions": versions(), "settings": settings})
+    function = table.phase_function
+    console.print(
+        f"refractive index {table.refractive_index_real:.5g} - {table.refractive_index_imag:.3g} i, "
+        f"{len(function.angle)} angles",
+        highlight=False,
+    )
+    albedos = function.single_scattering_albedo or ()
+    for row in zip(
+        function.effective_radius, function.asymmetry(), albedos, table.extinction_efficiency, table.mass_extinction
+    ):
+        console.print(
+            "radius {:g} um: asymmetry {:.4f}, single-scattering albedo {:.6f}, extinction efficiency {:.4f}, "
+            "mass extinction {:.4g} m^2 g^-1".format(*row),
+            highlight=False,
+            soft_wrap=True,
+        )
+    console.print(str(output), highlight=False, soft_wrap=True)
+    if png is not None:
+        from cloudtomo_cl.report.plots import new_figure, plot_phase_function
+
+        figure = new_figure(7, 4.5)
+        plot_phase_function(figure.subplots(), function)
+        try:
+            figure.savefig(png, dpi=130)
+        except (OSError, ValueError) as error:
+            raise DataError(f"{png}: could not be drawn ({error}): the name must end in .png, .pdf or .svg") from None

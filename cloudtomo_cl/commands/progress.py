@@ -1,0 +1,156 @@
+"""Progress on the console: a live bar on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+if TYPE_CHECKING:
+    from cloudtomo_cl.inversion.reconstruct import IterationRecord
+
+_PLAIN_LINE_SECONDS = 10.0
+
+
+class Done(Protocol):
+    """Called with how much is done so far."""
+
+    def __call__(self, done: int, /) -> None: ...
+
+
+@contextmanager
+def rendering(console: Console, total: int, unit: str = "samples") -> Iterator[Done]:
+    """Shows how much of a total is done: samples per pixel, photons ..."""
+    if console.is_terminal:
+        columns = (TextColumn("rendering"), BarColumn(), TextColumn("{task.completed}/{task.total} " + unit))
+        with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
+            task = bar.add_task("rendering", total=total)
+            yield lambda done: bar.update(task, completed=done)
+        return
+    start = shown = time.monotonic()
+
+    def line(done: int) -> None:
+        nonlocal shown
+        now = time.monotonic()
+        if now - shown >= _PLAIN_LINE_SECONDS and done < total:
+            shown = now
+            left = (now - start) * (total - done) / max(done, 1)
+            console.print(f"rendering: {done}/{total} {unit}, {duration(left)} left")
+
+    yield line
+
+
+@contextmanager
+def counting(console: Console, what: str) -> Iterator[Callable[[int, int], None]]:
+    """Shows how many of a number of things are done; called with both."""
+    if console.is_terminal:
+        columns = (TextColumn(what), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeRemainingColumn())
+        with Progress(*columns, console=console, transient=True) as bar:
+            task = bar.add_task(what, total=None)
+            yield lambda done, total: bar.update(task, completed=done, total=total)
+        return
+    start = shown = time.monotonic()
+
+    def line(done: int, total: int) -> None:
+        nonlocal shown
+        now = time.monotonic()
+        if now - shown >= _PLAIN_LINE_SECONDS and done < total:
+            shown = now
+            console.print(f"{what}: {done}/{total}, {duration((now - start) * (total - done) / done)} left")
+
+    yield line
+
+
+def duration(seconds: float) -> str:
+    """Seconds as a person says them."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    minutes, seconds = divmod(round(seconds), 60)
+    return f"{minutes} min {seconds:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def with_error(value: float, error: float) -> str:
+    """A number to the last digit that its standard error leaves, and that: 0.01550 ± 0.00002, 130 ± 20."""
+    if not (0 < error < np.inf and np.isfinite(value)):
+        return f"{value:.5g} ± {error:.1g}"
+    digits = -int(np.floor(np.log10(error)))
+    # Rounding may carry: 0.097 is 0.1.
+    digits = -int(np.floor(np.log10(round(error, digits))))
+    return f"{round(value, digits) + 0.0:.{max(digits, 0)}f} ± {round(error, digits):.{max(digits, 0)}f}"
+
+
+class ReconstructionProgress:
+    """A callback of `reconstruct`: stage, iteration, cost with its noise, error, photons per second, time left.
+
+    Without a time limit the time left is the most that the present stage can take: when it ends
+    depends on the cost.
+    """
+
+    def __init__(self, console: Console, time_limit: float | None = None) -> None:
+        self._console = console
+        self._time_limit = time_limit
+        self._last: IterationRecord | None = None
+        self._printed: IterationRecord | None = None
+        self._stage_start = 0.0
+        self._shown = time.monotonic()
+        self._bar: Progress | None = None
+        self._task: TaskID | None = None
+
+    def __enter__(self) -> ReconstructionProgress:
+        if self._console.is_terminal:
+            columns = (BarColumn(bar_width=10), TextColumn("{task.description}"), TimeElapsedColumn())
+            self._bar = Progress(*columns, console=self._console, transient=True)
+            self._bar.start()
+            self._task = self._bar.add_task("building kernels", total=None)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+        if self._last is not None:
+            self._line(self._last)
+
+    def go_on(self, before: Sequence[IterationRecord]) -> None:
+        """Takes the iterations of a run that was interrupted, for the pace of the present stage."""
+        if before:
+            self._last = self._printed = before[-1]
+            self._stage_start = max((old.seconds for old in before if old.stage < self._last.stage), default=0.0)
+
+    def __call__(self, record: IterationRecord) -> None:
+        if self._last is not None and record.stage != self._last.stage:
+            self._line(self._last)
+            self._stage_start = self._last.seconds
+        self._last = record
+        if self._bar is not None and self._task is not None:
+            speed = f"{record.photons / max(record.seconds, 1e-3):.2g} photons/s"
+            text = f"{self._text(record)}  {speed}  {self._left(record)}"
+            self._bar.update(self._task, description=text, completed=record.iteration + 1, total=record.iterations)
+        elif time.monotonic() - self._shown >= _PLAIN_LINE_SECONDS:
+            self._line(record)
+
+    def _line(self, record: IterationRecord) -> None:
+        """A line that stays; not twice for the same iteration."""
+        if self._bar is None and record is self._printed:
+            return
+        self._printed = record
+        self._shown = time.monotonic()
+        self._console.print(f"{self._text(record)}  {duration(record.seconds)}", highlight=False, soft_wrap=True)
+
+    def _text(self, record: IterationRecord) -> str:
+        text = (
+            f"stage {record.stage + 1}/{record.stages}  iteration {record.iteration + 1:>4}  "
+            f"cost {with_error(record.cost, record.cost_standard_error)}"
+        )
+        return text if record.epsilon is None else f"{text}  eps {record.epsilon:.3f}"
+
+    def _left(self, record: IterationRecord) -> str:
+        pace = (record.seconds - self._stage_start) / (record.iteration + 1)
+        stage_left = max(record.iterations - record.iteration - 1, 0) * pace
+        if self._time_limit is None:
+            return f"at most {duration(stage_left)} left in this stage"
+        return f"at most {duration(max(self._time_limit - record.seconds, 0.0))} left"

@@ -1,0 +1,32 @@
+"""Where a file comes from: package, versions, device, command; what every output keeps."""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from cloudtomo_cl.opencl.device import Device
+
+_PACKAGES = ("cloudtomo-cl", "numpy", "scipy", "pyopencl", "pydantic", "xarray", "netCDF4", "matplotlib")
+
+
+def source() -> str:
+    """This package and its version."""
+    return f"cloudtomo-cl {version('cloudtomo-cl')}"
+
+
+def versions() -> dict[str, str]:
+    """Of Python and of the packages that numbers depend on."""
+    return {"python": platform.python_version(), **{package: version(package) for package in _PACKAGES}}
+
+
+def describe_device(device: Device) -> dict[str, str]:
+    """Name, driver and the way in which it sums."""
+    return {
+        "name": device.name,
+        "platform": device.opencl.platform.name.strip(),
+        "version": device.opencl.version.strip(),
+        "accumulation": device.accumulation,
+    }

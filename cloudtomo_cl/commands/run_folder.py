@@ -1,0 +1,216 @@
+"""The folder of a reconstruction: settings, history, result, figures.
+
+    settings.json        all settings, versions of the packages, device, seed
+    history.csv          one line for each iteration, written as it goes
+    checkpoint.npz       what a resumed run goes on from
+    reconstruction.nc    extinction(x, y, z) in km^-1, its standard error and the mask, and what repeats the run:
+                         images, views, settings
+    modelled.nc          images of the recovered cloud
+    report.html
+    figures/*.png
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TextIO
+
+import numpy as np
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.files.extinction import read_extinction, write_extinction
+from cloudtomo_cl.files.measurements import write_measurements
+from cloudtomo_cl.files.whole import written_whole
+from cloudtomo_cl.inversion.checkpoint import Checkpoint, read_checkpoint
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.measurements import Measurements
+
+if TYPE_CHECKING:
+    from cloudtomo_cl.inversion.reconstruct import IterationRecord
+
+
+class RunFolder:
+    """Reads and writes the folder of one reconstruction.
+
+    Nothing is written before the first iteration, so that a run which cannot start leaves no
+    folder behind, and with `overwrite` an older run stays until then.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.settings_file = self.path / "settings.json"
+        self.history_file = self.path / "history.csv"
+        self.checkpoint_file = self.path / "checkpoint.npz"
+        self.reconstruction_file = self.path / "reconstruction.nc"
+        self.modelled_file = self.path / "modelled.nc"
+        self.report_file = self.path / "report.html"
+        self.figures = self.path / "figures"
+        self._history: TextIO | None = None
+        self._settings: Mapping[str, Any] = {}
+        self._before: Sequence[IterationRecord] | None = None
+        self.started = False
+
+    def check_new(self, overwrite: bool = False) -> None:
+        """DataError if the folder holds a run already, or is no folder."""
+        self._check_folder()
+        files = (self.settings_file, self.history_file, self.checkpoint_file, self.reconstruction_file)
+        if not overwrite and any(file.exists() for file in files):
+            hint = ", or go on with it: --resume" if self.checkpoint_file.exists() else ""
+            raise DataError(f"{self.path}: holds a run already: choose another folder, or add --overwrite{hint}")
+
+    def _check_folder(self) -> None:
+        if self.path.exists() and not self.path.is_dir():
+            raise DataError(f"{self.path}: is a file: choose another folder")
+
+    def read_checkpoint(self) -> Checkpoint | None:
+        """What to go on from; None if no run was begun here, or none got as far as a checkpoint.
+
+        Raises
+        ------
+        DataError : the checkpoint is damaged, or there is none beside the result of a run
+        """
+        self._check_folder()
+        if self.checkpoint_file.exists():
+            return read_checkpoint(self.checkpoint_file)
+        if self.reconstruction_file.exists():
+            raise DataError(f"{self.path}: holds the result of a run, but no checkpoint to go on from")
+        return None
+
+    def begin(self, settings: Mapping[str, Any], before: Sequence[IterationRecord] | None = None) -> None:
+        """Takes the settings (types of JSON), to be written with the first iteration.
+
+        before : the iterations up to the checkpoint that this run goes on from
+        """
+        self._settings = settings
+        self._before = before
+        self.started = False
+
+    def append(self, record: IterationRecord) -> None:
+        """One more iteration: a line of the history, on the disk at once."""
+        with self._writing():
+            if not self.started:
+                self._start([field.name for field in fields(record)])
+            assert self._history is not None
+            csv.writer(self._history).writerow(_line(record))
+            self._history.flush()
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise DataError(
+                f"{self.path}: could not be written ({error.strerror}): check permissions and the space left"
+            ) from None
+
+    def _start(self, names: list[str]) -> None:
+        self.figures.mkdir(parents=True, exist_ok=True)
+        # What a killed run was writing.
+        stale = list(self.path.glob(".*.partial"))
+        if self._before is None:
+            stale += [self.checkpoint_file, self.reconstruction_file, self.modelled_file, self.report_file]
+            stale += [*self.figures.glob("*.png"), *self.figures.glob("*.pdf")]
+        for file in stale:
+            file.unlink(missing_ok=True)
+        with written_whole(self.settings_file) as partial:
+            partial.write_text(json.dumps(self._settings, indent=2) + "\n", encoding="utf-8")
+        # A run may have been killed after its checkpoint: the history is that of the checkpoint.
+        with written_whole(self.history_file) as partial, open(partial, "w", newline="", encoding="utf-8") as table:
+            csv.writer(table).writerows([names, *map(_line, self._before or ())])
+        self._history = open(self.history_file, "a", newline="", encoding="utf-8")
+        self.started = True
+
+    def close(self) -> None:
+        """Closes the history."""
+        if self._history is not None:
+            # On a full disk it fails to write what append has reported already.
+            with suppress(OSError):
+                self._history.close()
+            self._history = None
+
+    def write_reconstruction(
+        self,
+        grid: Grid,
+        extinction: np.ndarray,
+        mask: np.ndarray,
+        attributes: Mapping[str, Any],
+        measurements: Measurements | None = None,
+        settings: Mapping[str, Any] | None = None,
+        standard_error: np.ndarray | None = None,
+    ) -> None:
+        """The result, with the measurements and settings that repeat it: whole, or not at all."""
+        import netCDF4
+
+        if self._before and not self.started:
+            # Resumed where nothing was left to do.
+            with self._writing():
+                self._start([field.name for field in fields(self._before[0])])
+            self.close()
+        with written_whole(self.reconstruction_file) as partial:
+            if measurements is None:
+                write_extinction(partial, grid, extinction, attributes)
+            else:
+                write_measurements(partial, measurements, attributes, settings, (grid, extinction, None))
+            try:
+                with netCDF4.Dataset(partial, "a") as dataset:
+                    variable = dataset.createVariable("mask", "i1", ("x", "y", "z"), zlib=True)
+                    variable.units = "1"
+                    variable.long_name = "voxels that the recovery could fill: 1, others 0"
+                    variable[:] = mask
+                    if standard_error is not None:
+                        name = "extinction_standard_error"
+                        variable = dataset.createVariable(name, "f4", ("x", "y", "z"), zlib=True)
+                        variable.units = "km-1"
+                        variable.long_name = "standard error of extinction, from noise and what smoothness leaves open"
+                        variable[:] = standard_error
+                        dataset["extinction"].ancillary_variables = name
+            except RuntimeError as error:  # how the netCDF library says that a disk is full
+                raise OSError(str(error)) from None
+
+    def read_reconstruction(self) -> tuple[Grid, np.ndarray, np.ndarray]:
+        """Grid, extinction in km^-1, mask. DataError if the run has not come to its end."""
+        import netCDF4
+
+        if not self.reconstruction_file.is_file():
+            raise DataError(f"{self.path}: holds no {self.reconstruction_file.name}: no run was finished here")
+        grid, extinction = read_extinction(self.reconstruction_file)
+        try:
+            with netCDF4.Dataset(self.reconstruction_file) as dataset:
+                mask = np.asarray(dataset["mask"][:]).astype(bool)
+        except (OSError, RuntimeError, IndexError, ValueError, TypeError) as error:
+            raise DataError(f"{self.reconstruction_file}: has no mask that can be read ({error})") from None
+        if mask.shape != grid.shape:
+            raise DataError(f"{self.reconstruction_file}: mask has shape {mask.shape}, the grid {grid.shape}")
+        return grid, extinction, mask
+
+    def read_history(self) -> dict[str, np.ndarray]:
+        """A column for each field of an iteration; NaN where nothing is known."""
+        try:
+            with open(self.history_file, newline="", encoding="utf-8") as file:
+                names, *lines = csv.reader(file)
+            table = np.array([[float(value or "nan") for value in line] for line in lines])
+            return dict(zip(names, table.reshape(-1, len(names)).T))
+        except (OSError, ValueError, csv.Error) as error:
+            raise DataError(f"{self.history_file}: is no history of a run ({error})") from None
+
+    def read_settings(self) -> dict[str, Any]:
+        """What `begin` took."""
+        try:
+            settings = json.loads(self.settings_file.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError) as error:
+            raise DataError(f"{self.settings_file}: are no settings of a run ({error})") from None
+        files = settings.get("files", {}) if isinstance(settings, dict) else None
+        if not isinstance(files, dict) or not all(isinstance(name, str) for name in files.values()):
+            raise DataError(f"{self.settings_file}: are no settings of a run (they must be a table, files among it)")
+        return settings
+
+
+def _line(record: IterationRecord) -> list[Any]:
+    """A record as the history has it."""
+    values = (getattr(record, field.name) for field in fields(record))
+    return ["" if value is None else value for value in values]

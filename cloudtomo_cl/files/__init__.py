@@ -1,0 +1,1 @@
+"""Files: netCDF, images, extinctions, phase functions, the cases of I3RC."""

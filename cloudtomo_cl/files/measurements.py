@@ -1,0 +1,320 @@
+"""netCDF files of measurements: images and the views that they were taken from; lists of rays."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.files.extinction import extinction_variables
+from cloudtomo_cl.files.netcdf import (
+    LENGTH_UNITS,
+    Source,
+    axis_coordinate,
+    file_attributes,
+    load_dataset,
+    name_of,
+    number_variable,
+    save_dataset,
+    unit_factor,
+)
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.sensors import RayView, View
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+RADIANCE_UNITS = "W m-2 sr-1"
+# What describes a view: field, dimensions beside "view", unit, long name.
+VIEW_FIELDS: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "position": (("axis",), "km", "position of the sensor"),
+    "target": (("axis",), "km", "point that the image's centre looks at"),
+    "up": (("axis",), "1", "direction that is up in the image"),
+    "field_of_view": ((), "degree", "full field of view across the width of a perspective or push-broom image"),
+    "width": ((), "km", "width of an orthographic image, measured across the rays"),
+    "zenith": ((), "degree", "zenith angle of the direction from the scene to the sensor"),
+    "azimuth": ((), "degree", "azimuth of the direction from the scene to the sensor, from +x towards +y"),
+    "aspect": ((), "1", "height of the image over its width, across the line of sight"),
+    "start": (("axis",), "km", "start of the flight track of a push-broom image, at its bottom"),
+    "end": (("axis",), "km", "end of the flight track of a push-broom image, at its top"),
+    "along_track_angle": ((), "degree", "angle from nadir of a push-broom scanner's look, positive ahead"),
+}
+# Only in files whose views have them.
+OPTIONAL_VIEW_FIELDS = ("aspect", "start", "end", "along_track_angle")
+# Rays of the views that are lists of rays, one after the other.
+RAY_FIELDS = {
+    "ray_origin": ("origins", "km", "origin of a pixel's ray"),
+    "ray_direction": ("directions", "1", "direction in which a pixel looks, a unit vector"),
+}
+
+
+def write_measurements(
+    path: str | os.PathLike[str],
+    measurements: Measurements,
+    attributes: Mapping[str, Any] | None = None,
+    settings: Mapping[str, Any] | None = None,
+    cloud: tuple[Grid, np.ndarray, np.ndarray | None] | None = None,
+) -> None:
+    """Writes `measurements_dataset` into a netCDF file.
+
+    Parameters
+    ----------
+    path : of the file; it is replaced whole or not at all
+    measurements, attributes, settings, cloud : see `measurements_dataset`
+
+    Raises
+    ------
+    DataError : the file cannot be written; as `measurements_dataset`
+    """
+    save_dataset(path, measurements_dataset(measurements, attributes, settings, cloud, name_of(path)))
+
+
+def measurements_dataset(
+    measurements: Measurements,
+    attributes: Mapping[str, Any] | None = None,
+    settings: Mapping[str, Any] | None = None,
+    cloud: tuple[Grid, np.ndarray, np.ndarray | None] | None = None,
+    name: str = "the dataset",
+) -> xr.Dataset:
+    """Images with the views that they were taken from.
+
+    Variables: `radiance` and `radiance_standard_error` (view, row, column), W m-2 sr-1, padded
+    with NaN to the largest image, and NaN in bad pixels, with `image_height` and `image_width` (view); `view_type`
+    and every field of the views (view) or (view, axis), NaN where a view has no such field. Views
+    that are lists of rays have `ray_origin` and `ray_direction` (ray, axis), the rays of all of
+    them one after the other.
+
+    Parameters
+    ----------
+    measurements : images and views
+    attributes : text or numbers; mappings are stored as JSON
+    settings : of the run that made the images, stored as the JSON attribute `settings`
+    cloud : grid, extinction (km^-1) and effective radius (um, or None) to keep beside the images: what they
+        were rendered from, or what was recovered from them
+    name : what errors call it
+
+    Raises
+    ------
+    DataError : no view; as `extinction_dataset`
+    """
+    import xarray as xr
+
+    views = measurements.views
+    if not views:
+        raise DataError(f"{name}: there is no view to write")
+    rows = max(view.pixels[1] for view in views)
+    columns = max(view.pixels[0] for view in views)
+    radiance = np.full((2, len(views), rows, columns), np.nan)
+    for kind, arrays in enumerate((measurements.images, measurements.standard_errors)):
+        for index, array in enumerate(arrays):
+            radiance[kind, index, : array.shape[0], : array.shape[1]] = array
+    dims = ("view", "row", "column")
+    types = [view.type for view in views]
+    counts = {"height": [view.pixels[1] for view in views], "width": [view.pixels[0] for view in views]}
+    variables: dict[str, Any] = {
+        "radiance": (dims, radiance[0], {"units": RADIANCE_UNITS, "long_name": "mean radiance of a pixel"}),
+        "radiance_standard_error": (
+            dims,
+            radiance[1],
+            {"units": RADIANCE_UNITS, "long_name": "standard error of the radiance, 0 where unknown"},
+        ),
+        "image_height": ("view", counts["height"], {"units": "1", "long_name": "rows of the image"}),
+        "image_width": ("view", counts["width"], {"units": "1", "long_name": "columns of the image"}),
+        "view_type": ("view", np.array(types, dtype=object), {"units": "1", "long_name": "projection"}),
+    }
+    for key, (extra, unit, long_name) in VIEW_FIELDS.items():
+        missing = (np.nan,) * 3 if extra else np.nan
+        fields = [getattr(view, key, None) for view in views]
+        if key in OPTIONAL_VIEW_FIELDS and not any(value is not None for value in fields):
+            continue
+        values = np.array([missing if value is None else value for value in fields], dtype=np.float64)
+        variables[key] = (("view", *extra), values, {"units": unit, "long_name": long_name})
+    lists = [view for view in views if isinstance(view, RayView)]
+    if lists:
+        variables.update(_ray_variables(lists))
+    coordinates: dict[str, Any] = {"axis": axis_coordinate()}
+    for key, count in (("view", len(views)), ("row", rows), ("column", columns)):
+        coordinates[key] = (key, np.arange(count, dtype=np.int32), {"units": "1", "long_name": f"{key}, from 0"})
+    if any(measurements.calibration_errors):
+        long_name = "standard error of a view's gain, common to all of its pixels"
+        variables["calibration_error"] = (
+            "view", np.array(measurements.calibration_errors, float), {"units": "1", "long_name": long_name}
+        )  # fmt: skip
+    if cloud is not None:
+        of_cloud = extinction_variables(name, *cloud)
+        variables.update(of_cloud[0])
+        coordinates.update(of_cloud[1])
+    described = file_attributes(attributes)
+    if settings is not None:
+        described["settings"] = json.dumps(settings, indent=1)
+    return xr.Dataset(variables, coordinates, described)
+
+
+def read_measurements(source: Source) -> Measurements:
+    """Reads what `write_measurements` wrote, or `measurements_dataset` made: the same images, the same views.
+
+    Pixels are bad whose radiance is NaN, or where a variable `valid` (view, row, column), which a file may have,
+    is 0. Another that it may have is `calibration_error` (view), relative.
+
+    Raises
+    ------
+    DataError : no such file, not netCDF, cut short; missing variables, other dimensions or
+        units; images that are infinite, or bad in all pixels; views that are not possible
+    """
+    path, dataset = name_of(source), load_dataset(source)
+    dims = ("view", "row", "column")
+    radiance = number_variable(path, dataset, "radiance", dims)
+    error = number_variable(path, dataset, "radiance_standard_error", dims)
+    for variable in (radiance, error):
+        unit_factor(path, variable, {RADIANCE_UNITS: 1.0}, RADIANCE_UNITS)
+    if "valid" in dataset.variables:
+        radiance = radiance.where(number_variable(path, dataset, "valid", dims) != 0)
+    heights = number_variable(path, dataset, "image_height", ("view",)).values
+    widths = number_variable(path, dataset, "image_width", ("view",)).values
+    for name, values, largest in (
+        ("image_height", heights, radiance.shape[1]),
+        ("image_width", widths, radiance.shape[2]),
+    ):
+        if not ((values >= 1) & (values <= largest) & (values % 1 == 0)).all():
+            raise DataError(f"{path}: {name} is {values.tolist()}: each must be a whole number from 1 to {largest}")
+    for index, (height, width) in enumerate(zip(heights, widths)):
+        beyond = ~np.isnan(radiance.values[index])
+        beyond[: int(height), : int(width)] = False
+        if beyond.any():
+            row, column = np.argwhere(beyond)[0]
+            raise DataError(
+                f"{path}: view {index} has {int(width)} x {int(height)} pixels by image_width and image_height, "
+                f"but a radiance at row {row}, column {column}: correct them, or set what lies beyond to NaN"
+            )
+    views = _views(path, dataset, heights, widths)
+    gains: tuple[float, ...] = ()
+    if "calibration_error" in dataset.variables:
+        gains = tuple(map(float, number_variable(path, dataset, "calibration_error", ("view",)).values))
+    shapes = [(slice(0, int(height)), slice(0, int(width))) for height, width in zip(heights, widths)]
+    try:
+        return Measurements(
+            views,
+            tuple(image[shape].astype(np.float64) for image, shape in zip(radiance.values, shapes)),
+            tuple(image[shape].astype(np.float64) for image, shape in zip(error.values, shapes)),
+            gains,
+        )
+    except DataError as wrong:
+        raise DataError(f"{path}: {wrong}") from None
+
+
+def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The settings that were written with a file of measurements.
+
+    Raises
+    ------
+    DataError : no such file, not netCDF; no attribute `settings`, or it is not a JSON table
+    """
+    text = load_dataset(path).attrs.get("settings")
+    if text is None:
+        raise DataError(f"{path}: no attribute settings: the file was written without them")
+    try:
+        settings = json.loads(text)
+    except (TypeError, ValueError, RecursionError):
+        settings = None
+    if not isinstance(settings, dict):
+        raise DataError(f"{path}: the attribute settings is not a JSON table")
+    return settings
+
+
+def _ray_variables(views: Sequence[RayView]) -> dict[str, Any]:
+    return {
+        name: (
+            ("ray", "axis"),
+            np.concatenate([getattr(view, field) for view in views]),
+            {"units": unit, "long_name": long_name},
+        )
+        for name, (field, unit, long_name) in RAY_FIELDS.items()
+    }
+
+
+def write_rays(path: str | os.PathLike[str], view: RayView) -> None:
+    """Writes the rays of a view as `origin` and `direction` (ray, axis): see `read_rays`.
+
+    Raises
+    ------
+    DataError : the file cannot be written
+    """
+    import xarray as xr
+
+    variables = {name.removeprefix("ray_"): variable for name, variable in _ray_variables([view]).items()}
+    width, height = view.pixels
+    sizes = {"image_width": width, "image_height": height}
+    save_dataset(path, xr.Dataset(variables, {"axis": axis_coordinate()}, file_attributes(sizes)))
+
+
+def read_rays(path: str | os.PathLike[str]) -> RayView:
+    """Reads a view that is a list of rays.
+
+    Variables: `origin` (ray, axis) in km (also if no unit is given) or m, `direction` (ray, axis) of
+    any length, with three numbers x, y, z along `axis`. The file's attributes `image_width` and
+    `image_height`, if there, give the pixels; otherwise there is one row.
+
+    Raises
+    ------
+    DataError : no such file, not netCDF; missing variables, other dimensions or units, rays that
+        are not possible
+    """
+    dataset = load_dataset(path)
+    dims = ("ray", "axis")
+    origin, direction = (number_variable(path, dataset, name, dims) for name in ("origin", "direction"))
+    fields: dict[str, Any] = {
+        "origins": origin.values.astype(np.float64) * unit_factor(path, origin, LENGTH_UNITS, "km"),
+        "directions": direction.values,
+    }
+    if "image_width" in dataset.attrs:
+        fields["pixels"] = tuple(np.ravel(dataset.attrs.get(name, 1))[0] for name in ("image_width", "image_height"))
+    try:
+        return RayView(**fields)
+    except ValidationError as error:
+        raise DataError(f"{path}: rays are not possible: {_first_error(error)}") from None
+
+
+def _first_error(error: ValidationError) -> str:
+    first = error.errors()[0]
+    where = ".".join(map(str, first["loc"]))
+    return f"{where}: {first['msg']}" if where else str(first["msg"])
+
+
+def _views(path: Any, dataset: xr.Dataset, heights: np.ndarray, widths: np.ndarray) -> tuple[View, ...]:
+    """The views from their fields; a field that is NaN was not given."""
+    if "view_type" not in dataset.variables or dataset["view_type"].dims != ("view",):
+        raise DataError(f"{path}: no variable view_type(view)")
+    fields = {
+        name: number_variable(path, dataset, name, ("view", *extra)).values
+        for name, (extra, _, _) in VIEW_FIELDS.items()
+        if name not in OPTIONAL_VIEW_FIELDS or name in dataset.variables
+    }
+    kinds = dataset["view_type"].values
+    first_ray, rays = 0, {}
+    if "rays" in kinds:
+        rays = {
+            field: number_variable(path, dataset, name, ("ray", "axis")).values
+            for name, (field, _, _) in RAY_FIELDS.items()
+        }
+    adapter: TypeAdapter[Any] = TypeAdapter(View)
+    views = []
+    for index, kind in enumerate(kinds):
+        table: dict[str, Any] = {"type": str(kind), "pixels": (int(widths[index]), int(heights[index]))}
+        for name, values in fields.items():
+            if not np.isnan(values[index]).all():
+                table[name] = values[index].tolist()
+        if kind == "rays":
+            count = int(widths[index]) * int(heights[index])
+            table.update({field: values[first_ray : first_ray + count] for field, values in rays.items()})
+            first_ray += count
+        try:
+            views.append(adapter.validate_python(table))
+        except ValidationError as error:
+            raise DataError(f"{path}: view {index} is not possible: {_first_error(error)}") from None
+    return tuple(views)

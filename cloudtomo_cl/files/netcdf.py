@@ -1,0 +1,173 @@
+"""netCDF files: reading them whole, writing them whole, and what their variables must be.
+
+xarray and the netCDF library are imported where they are used: importing this package is fast.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Union
+
+import numpy as np
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.files.whole import written_whole
+from cloudtomo_cl.memory import require
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+CONVENTIONS = "CF-1.10"
+AXES = ("x", "y", "z")
+# What files are read from: their names, or what they hold, in memory.
+Source = Union[str, "os.PathLike[str]", "xr.Dataset", "xr.DataArray"]
+# Kilometres in one unit of length.
+LENGTH_UNITS = {
+    **dict.fromkeys(("km", "kilometer", "kilometers", "kilometre", "kilometres"), 1.0),
+    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1e-3),
+}
+
+
+def is_netcdf(path: Path) -> bool:
+    """By the first bytes; what cannot be read is no netCDF file."""
+    try:
+        with open(path, "rb") as file:
+            return file.read(4) in (b"\x89HDF", b"CDF\x01", b"CDF\x02", b"CDF\x05")
+    except OSError:
+        return False
+
+
+def name_of(source: Source) -> str:
+    """How errors call what is read."""
+    return str(source) if isinstance(source, (str, os.PathLike)) else f"the {type(source).__name__}"
+
+
+def load_dataset(source: Source) -> xr.Dataset:
+    """The whole file in memory; a dataset is there already, and a DataArray becomes one.
+
+    Raises
+    ------
+    DataError : no such file, not netCDF, or cut short
+    """
+    import xarray as xr
+
+    if isinstance(source, xr.Dataset):
+        return source
+    if isinstance(source, xr.DataArray):
+        return source.to_dataset(name=source.name or "extinction")
+    path = source
+    if not Path(path).is_file():
+        raise DataError(f"{path}: no such file")
+    try:
+        # Times and other CF encodings that a foreign file may have are none of our business.
+        with xr.open_dataset(path, engine="netcdf4", decode_times=False) as dataset:
+            # Compressed, a small file may hold gigabytes.
+            require(2 * dataset.nbytes, f"{path}: reading it", "crop or coarsen it")
+            loaded = dataset.load()
+        _check_classic(path)
+        return loaded
+    except (DataError, MemoryError):
+        raise
+    except Exception as error:  # what a damaged file may raise has no end
+        text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise DataError(
+            f"{path}: not a netCDF file, or damaged or cut short ({text}): check or copy it again; "
+            f"clouds in other formats become netCDF by `cloudtomo cloud FILE --output cloud.nc`"
+        ) from None
+
+
+def _check_classic(path: str | os.PathLike[str]) -> None:
+    """Raises ValueError if a file in the classic format ends too early.
+
+    The netCDF library reads zeros where such a file was cut off; SciPy's reader notices.
+    """
+    with open(path, "rb") as file:
+        if file.read(4) not in (b"CDF\x01", b"CDF\x02"):
+            return
+    from scipy.io import netcdf_file
+
+    netcdf_file(path, mmap=False).close()
+
+
+def check_output(path: Path, overwrite: bool) -> None:
+    """Fails before the work, not after it.
+
+    Raises
+    ------
+    DataError : a folder, in no folder, or there already and not to be replaced
+    """
+    if path.is_dir() or not path.parent.is_dir():
+        raise DataError(f"{path}: is a folder, or in a folder that does not exist: choose another --output")
+    if path.exists() and not overwrite:
+        raise DataError(f"{path}: exists already: choose another --output, or add --overwrite")
+
+
+def save_dataset(path: str | os.PathLike[str], dataset: xr.Dataset) -> None:
+    """Writes all or nothing: a file of that name is either whole or as it was before."""
+    encoding: dict[Any, dict[str, Any]] = {
+        name: {"zlib": True, "complevel": 4}
+        for name, variable in dataset.data_vars.items()
+        if variable.ndim and variable.dtype.kind == "f"
+    }
+    for name in dataset.variables:
+        encoding.setdefault(name, {})
+        if name not in ("radiance", "radiance_standard_error", "effective_radius"):
+            encoding[name]["_FillValue"] = None
+    with written_whole(path) as partial:
+        try:
+            dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
+            _restore_bounds_units(partial, dataset)
+        except RuntimeError as error:  # how the netCDF library says that a disk is full
+            raise OSError(str(error)) from None
+
+
+def _restore_bounds_units(path: Path, dataset: xr.Dataset) -> None:
+    """Writes the units of bounds, which xarray leaves out where they are those of the coordinate (CF allows both)."""
+    bounds = [variable.attrs["bounds"] for variable in dataset.variables.values() if "bounds" in variable.attrs]
+    if not bounds:
+        return
+    import netCDF4
+
+    with netCDF4.Dataset(path, "a") as file:
+        for name in bounds:
+            file[name].units = dataset[name].attrs["units"]
+
+
+def number_variable(path: Any, dataset: xr.Dataset, name: str, dims: tuple[str, ...]) -> xr.DataArray:
+    """A numeric variable with these dimensions, in this order, in double precision."""
+    if name not in dataset.variables:
+        found = ", ".join(sorted(str(other) for other in dataset.variables)) or "none"
+        raise DataError(f"{path}: no variable {name}({', '.join(dims)}); the file has {found}")
+    variable = dataset[name]
+    if set(variable.dims) != set(dims):
+        raise DataError(
+            f"{path}: {name} has dimensions ({', '.join(map(str, variable.dims))}), "
+            f"it must have ({', '.join(dims)}) in any order"
+        )
+    if variable.dtype.kind not in "fiu":
+        raise DataError(f"{path}: {name} has type {variable.dtype}, it must hold numbers")
+    return variable.transpose(*dims)
+
+
+def unit_factor(path: Any, variable: xr.DataArray, units: Mapping[str, float], default: str) -> float:
+    """The factor to our unit; a variable without units is taken to be in it already."""
+    name = str(variable.attrs.get("units", default)).strip()
+    if name not in units:
+        raise DataError(f"{path}: {variable.name} has units '{name}', allowed are {', '.join(filter(None, units))}")
+    return units[name]
+
+
+def axis_coordinate() -> tuple[str, Any, dict[str, str]]:
+    """The names x, y, z along the dimension `axis`."""
+    return "axis", np.array(AXES, dtype=object), {"units": "1", "long_name": "component of a vector"}
+
+
+def file_attributes(attributes: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Attributes as netCDF holds them."""
+    described: dict[str, Any] = {"Conventions": CONVENTIONS}
+    for name, value in (attributes or {}).items():
+        described[name] = json.dumps(value) if isinstance(value, Mapping) else value
+    return described

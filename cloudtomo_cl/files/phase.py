@@ -1,0 +1,202 @@
+"""netCDF files of phase functions: those of `cloudtomo mie`, and tables from elsewhere.
+
+xarray and the netCDF library are imported where they are used: importing this package is fast.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.files.netcdf import file_attributes, load_dataset, number_variable, unit_factor
+from cloudtomo_cl.files.whole import written_whole
+from cloudtomo_cl.scene.droplets import DropletTable
+from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_ANGLES = {
+    **dict.fromkeys(("degree", "degrees", "deg"), 1.0),
+    **dict.fromkeys(("radian", "radians", "rad"), 180 / np.pi),
+}
+_RADII = {
+    **dict.fromkeys(("um", "micron", "microns", "micrometer", "micrometers", "micrometre", "\u00b5m", "\u03bcm"), 1.0),
+    **dict.fromkeys(("m", "meter", "meters", "metre"), 1e6),
+}
+_DENSITIES = dict.fromkeys(("sr-1", "sr^-1", "sr**-1", "1/sr", "1", ""), 1.0)
+_FRACTIONS = dict.fromkeys(("1", ""), 1.0)
+# Attributes of phase_function that say what its integral over the sphere is, and how they may say it.
+_NORMALISATION_NAMES = ("normalisation", "normalization")
+_NORMALISATIONS = {"1": 1.0, "4 pi": 4 * np.pi, "4pi": 4 * np.pi, "4*pi": 4 * np.pi}
+# The first and the last angle may miss 0 and 180 degrees by this much: single precision, in radians.
+_ANGLE_ROUNDING = 1e-4
+_NUMBERS_OF_A_TABLE = ("wavelength_nm", "effective_variance", "refractive_index_real", "refractive_index_imag")
+
+
+def read_phase_function(path: str | os.PathLike[str]) -> TabulatedPhaseFunction:
+    """Reads a phase function from a netCDF file.
+
+    Variables: `angle` (degree, or radian), rising from 0 to 180 degrees or falling;
+    `phase_function` (effective_radius, angle) or (angle), a density over the sphere in sr-1, or
+    with an attribute `normalisation`, the integral over the sphere (a number, or "4 pi");
+    `effective_radius` (um, or m); optional `single_scattering_albedo` (effective_radius).
+
+    Raises
+    ------
+    DataError : no such file, not netCDF, cut short; missing variables, other dimensions or units;
+        a table that TabulatedPhaseFunction does not take, for instance of another normalisation
+    """
+    return _phase_function(path, load_dataset(path))
+
+
+def read_droplet_table(path: str | os.PathLike[str]) -> DropletTable:
+    """Reads what `cloudtomo mie` writes: phase functions and what else Mie's theory tells.
+
+    Raises
+    ------
+    DataError : as `read_phase_function`; no `extinction_efficiency`, or attributes are missing
+    """
+    dataset = load_dataset(path)
+    function = _phase_function(path, dataset)
+    efficiency = _numbers(path, dataset, "extinction_efficiency", ("effective_radius",), _FRACTIONS)
+    numbers = {}
+    for name in _NUMBERS_OF_A_TABLE:
+        try:
+            numbers[name] = float(dataset.attrs[name])
+        except (KeyError, TypeError, ValueError):
+            raise DataError(
+                f"{path}: no number in the attribute {name}: make the table again with cloudtomo mie"
+            ) from None
+    return DropletTable(function, tuple(efficiency.tolist()), **numbers)
+
+
+def write_phase_function(
+    path: str | os.PathLike[str],
+    table: TabulatedPhaseFunction | DropletTable,
+    attributes: Mapping[str, Any] | None = None,
+) -> None:
+    """Writes phase functions as `read_phase_function` reads them, in double precision.
+
+    Parameters
+    ----------
+    path : of the file; it is replaced whole or not at all
+    table : phase functions alone, or with all that Mie's theory tells of the droplets
+    attributes : of the file, text or numbers; mappings are stored as JSON
+
+    Raises
+    ------
+    DataError : the file cannot be written
+    """
+    import xarray as xr
+
+    function = table.phase_function if isinstance(table, DropletTable) else table
+    per_radius = ("effective_radius",) if function.effective_radius else ()
+    values = np.array(function.values)
+
+    def described(name: str, units: str) -> dict[str, str]:
+        return {"long_name": name, "units": units}
+
+    def by_radius(numbers: Any) -> np.ndarray:
+        return np.array(numbers) if per_radius else np.array(numbers[0])
+
+    coordinates: dict[str, Any] = {
+        "angle": ("angle", np.array(function.angle), described("scattering angle", "degree"))
+    }
+    if per_radius:
+        radius = described("effective radius of the droplets", "um")
+        coordinates["effective_radius"] = (per_radius, np.array(function.effective_radius), radius)
+    variables: dict[str, Any] = {
+        "phase_function": (
+            (*per_radius, "angle"),
+            values if per_radius else values[0],
+            {
+                **described("phase function, linear in the cosine of the angle between the angles", "sr-1"),
+                "normalisation": 1.0,
+            },
+        )
+    }
+    if function.single_scattering_albedo is not None:
+        albedo = by_radius(function.single_scattering_albedo)
+        variables["single_scattering_albedo"] = (per_radius, albedo, described("single-scattering albedo", "1"))
+    about = file_attributes(attributes)
+    if isinstance(table, DropletTable):
+        efficiency = described("extinction over geometric cross-section", "1")
+        variables["extinction_efficiency"] = (per_radius, by_radius(table.extinction_efficiency), efficiency)
+        mass = described("extinction of a gram of liquid water", "m2 g-1")
+        variables["mass_extinction"] = (per_radius, by_radius(table.mass_extinction), mass)
+        about.update({name: getattr(table, name) for name in _NUMBERS_OF_A_TABLE})
+    dataset = xr.Dataset(variables, coordinates, about)
+    encoding = {name: {"_FillValue": None} for name in dataset.variables}
+    try:
+        with written_whole(path) as partial:
+            dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
+    except RuntimeError as error:
+        raise DataError(f"{path}: could not be written ({error}): check its folder, permissions and disk") from None
+
+
+def _phase_function(path: Any, dataset: xr.Dataset) -> TabulatedPhaseFunction:
+    per_radius = ("effective_radius",) if "effective_radius" in dataset.dims else ()
+    angle = _numbers(path, dataset, "angle", ("angle",), _ANGLES, "degree")
+    values = _numbers(path, dataset, "phase_function", (*per_radius, "angle"), _DENSITIES, "sr-1")
+    values = np.atleast_2d(values) / _declared_integral(path, dataset["phase_function"])
+    radius = _numbers(path, dataset, "effective_radius", per_radius, _RADII, "um") if per_radius else np.array([])
+    albedo = None
+    if "single_scattering_albedo" in dataset.variables:
+        albedo = np.atleast_1d(_numbers(path, dataset, "single_scattering_albedo", per_radius, _FRACTIONS))
+    if len(angle) and angle[0] > angle[-1]:
+        angle, values = angle[::-1], values[:, ::-1]
+    angle = angle.copy()
+    for end in (0.0, 180.0):
+        angle[np.abs(angle - end) <= _ANGLE_ROUNDING] = end
+    try:
+        return TabulatedPhaseFunction(
+            angle=tuple(angle.tolist()),
+            values=tuple(map(tuple, values.tolist())),
+            effective_radius=tuple(radius.tolist()),
+            single_scattering_albedo=None if albedo is None else tuple(albedo.tolist()),
+        )
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = "".join(f"[{part}]" if isinstance(part, int) else str(part) for part in first["loc"])
+        what = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+        what = f"{where} {what}, is {first['input']!r}" if where else what
+        if "integrates to" in what:
+            what += "; or the file may say its integral in the attribute normalisation of phase_function"
+        raise DataError(f"{path}: not a phase function: {what}") from None
+
+
+def _declared_integral(path: Any, variable: xr.DataArray) -> float:
+    """The integral over the sphere that a file says it has."""
+    for name in _NORMALISATION_NAMES:
+        if name in variable.attrs:
+            text = str(variable.attrs[name]).strip()
+            try:
+                integral = _NORMALISATIONS[text] if text in _NORMALISATIONS else float(text)
+            except ValueError:
+                integral = np.nan
+            if not (np.isfinite(integral) and integral > 0):
+                raise DataError(
+                    f"{path}: the attribute {name} of phase_function is '{text}': it must be the integral over the "
+                    "sphere, a number or '4 pi'"
+                )
+            return integral
+    return 1.0
+
+
+def _numbers(
+    path: Any,
+    dataset: xr.Dataset,
+    name: str,
+    dims: tuple[str, ...],
+    units: Mapping[str, float],
+    default: str = "1",
+) -> np.ndarray:
+    """A variable in our unit (that without units is taken to be the default), in double precision."""
+    variable = number_variable(path, dataset, name, dims)
+    return variable.values.astype(np.float64) * unit_factor(path, variable, units, default)

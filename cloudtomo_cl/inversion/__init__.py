@@ -1,0 +1,1 @@
+"""From images to extinction: carving, priors, stages, solvers, uncertainty, checkpoints."""

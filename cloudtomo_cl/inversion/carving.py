@@ -1,0 +1,156 @@
+"""Space carving: where the images leave room for cloud.
+
+A voxel is ruled out by a view that sees all of it and no cloud there. What remains is the
+part of the domain in which an extinction has to be sought at all.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.sensors import AffineView, RayView
+from cloudtomo_cl.scene.visibility import footprints, pixels_that_meet, slabs
+
+_SCALE_PERCENTILE = 99.0
+_QUIET_PERCENTILE = 25.0
+# Up to where noise may raise the tolerance, in contrasts. Beyond, noisy ground counts as cloudy:
+# with 3 a cloud lost 1.4 % of its mass in images of 24x24 pixels and 256 samples.
+_LOOSEST = 2.5
+
+
+def cloudy_pixels(
+    measurements: Measurements,
+    clear: Measurements,
+    contrast: float = 0.02,
+    significance: float = 2.0,
+    grid: Grid | None = None,
+) -> tuple[np.ndarray, ...]:
+    """Which pixels of every image may show cloud.
+
+    A pixel is clear only if the images are able to say so: its difference from the clear image
+    plus `significance` standard errors must lie within a tolerance. So a pixel too noisy to
+    tell counts as cloudy, which matters over bright ground, where parts of a cloud are as
+    bright as the ground. The difference counts in both directions, since a cloud is brighter
+    than dark ground and may be darker than bright ground.
+
+    The tolerance leaves room for ground that is shaded or lit by the cloud and for the noise
+    of clear pixels: three times `significance` standard errors of the quieter pixels (their
+    lower quartile), but no less than `contrast` and no more than two and a half times `contrast` of
+    the image's own scale, the 99th percentile of the differences. The scale is at least a quarter
+    of the largest among the images, so that a view of hardly any cloud is not judged by its noise.
+    Gaps of a pixel or two and holes are then closed: where the brightness of a cloud's image
+    passes through that of the ground, the cloud goes on. (Not in lists of rays, whose pixels
+    have no neighbours.) Bad pixels, which are NaN, cannot say anything: they count as cloudy.
+
+    Parameters
+    ----------
+    measurements, clear : images of the same views with and without cloud, W m^-2 sr^-1
+    contrast : the least difference that counts, relative to the image's scale
+    significance : standard errors of the difference; 0 trusts every pixel
+    grid : of the domain, if pixels that do not look at it are to count as clear
+
+    Returns
+    -------
+    bool, one array (rows, columns) per view
+
+    Raises
+    ------
+    DataError : the views of the two differ; contrast or significance is negative
+    """
+    if clear.views != measurements.views:
+        raise DataError("clear images are not of the measurements' views: render them with the same views and pixels")
+    if not (contrast >= 0 and significance >= 0):
+        raise DataError(f"contrast is {contrast} and significance {significance}: neither may be negative")
+    differences = [np.abs(image - ground) for image, ground in zip(measurements.images, clear.images)]
+    errors = [np.hypot(*pair) for pair in zip(measurements.standard_errors, clear.standard_errors)]
+    gains = zip(errors, measurements.images, measurements.calibration_errors)
+    errors = [np.hypot(error, image * gain) if gain else error for error, image, gain in gains]
+    scales = np.array([np.nanpercentile(difference, _SCALE_PERCENTILE) for difference in differences])
+    scales = np.maximum(scales, scales.max() / 4)
+    cloudy = []
+    for view, difference, error, scale in zip(measurements.views, differences, errors, scales):
+        bad = np.isnan(difference)
+        noise = 3 * significance * np.percentile(error[~bad], _QUIET_PERCENTILE)
+        tolerance = np.clip(noise, contrast * scale, _LOOSEST * contrast * scale)
+        differs = difference + significance * error > tolerance
+        if grid is not None:
+            meets = pixels_that_meet(view, grid)
+            differs, bad = differs & meets, bad & meets
+        # Bad pixels open no way to their neighbours.
+        cloudy.append((differs if isinstance(view, RayView) else _filled(differs)) | bad)
+    return tuple(cloudy)
+
+
+def _filled(pixels: np.ndarray) -> np.ndarray:
+    """Pixels with narrow gaps closed and holes filled; the image's edge opens no gap."""
+    from scipy import ndimage  # here: half of the package's import time
+
+    square = np.ones((3, 3), dtype=bool)
+    closed = ndimage.binary_closing(np.pad(pixels, 2, mode="edge"), square)[2:-2, 2:-2]
+    return ndimage.binary_fill_holes(pixels | closed)
+
+
+def carve(
+    grid: Grid,
+    measurements: Measurements,
+    clear: Measurements,
+    contrast: float = 0.02,
+    significance: float = 2.0,
+) -> np.ndarray:
+    """The voxels that may hold cloud.
+
+    A voxel is removed only if some view has its whole projection inside the frame and no
+    cloudy pixel in the projection's bounding box. Rays that miss the domain never count: they
+    see cloud neither in the domain nor, with open boundaries, anywhere else. Lists of rays rule
+    out nothing: a voxel may lie between their rays.
+
+    For a coarser grid of the same domain, carve the fine grid and coarsen its mask
+    (`coarsened`): the bounding boxes of small voxels fit more tightly.
+
+    Parameters
+    ----------
+    grid : of the domain
+    measurements : images, their standard errors and views
+    clear : the same images without cloud, for instance rendered from an extinction of zeros
+        under the same sun, with the same surface and air; with samples enough that they are
+        less noisy than the measurements
+    contrast, significance : see `cloudy_pixels`
+
+    Returns
+    -------
+    bool, shape of the grid
+
+    Raises
+    ------
+    DataError : as `cloudy_pixels`
+    """
+    cloudy = cloudy_pixels(measurements, clear, contrast, significance, grid)
+    mask = np.ones(grid.shape, dtype=bool)
+    for view, pixels in zip(measurements.views, cloudy):
+        if isinstance(view, RayView):
+            continue
+        table = np.zeros((pixels.shape[0] + 1, pixels.shape[1] + 1), dtype=np.int64)
+        table[1:, 1:] = pixels.cumsum(axis=0).cumsum(axis=1)
+        for first, last in slabs(grid):
+            mask[first:last] &= ~_seen_clear(view, grid, first, last, table)
+    return mask
+
+
+def _seen_clear(
+    view: AffineView, grid: Grid, first: int, last: int, table: np.ndarray
+) -> np.ndarray:
+    """Which voxels of the slab first <= x < last a view sees whole, and free of cloud.
+
+    `table` is the summed-area table of the cloudy pixels: the number of them above and left.
+    """
+    box = footprints(view, grid, first, last)
+    number = (
+        table[box.bottom, box.right]
+        - table[box.top, box.right]
+        - table[box.bottom, box.left]
+        + table[box.top, box.left]
+    )
+    return box.whole & (number == 0)

@@ -1,0 +1,233 @@
+"""Checkpoints: all that a reconstruction needs to go on as if it had never been stopped.
+
+Random numbers need no state: they are a function of seed, iteration, view, pixel and sample
+(docs/sampling.md). What is kept: the descent's extinction, mean and moments, the remembered
+images, stage, iteration and history; and what the run is a run of, so that it is not gone on
+with under other settings.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.files.whole import written_whole
+from cloudtomo_cl.inversion.priors import Prior
+from cloudtomo_cl.inversion.solvers.optimizer import Optimizer
+from cloudtomo_cl.inversion.stages import Stage
+from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.scene import Scene
+
+FORMAT = 2
+_DIGEST = "sha256:"
+# Lists longer than this are kept as a digest.
+_LONG = 32
+# Time between checkpoints is at least this many times the time that writing one takes.
+_LEAST_WORK = 20.0
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A reconstruction between two iterations.
+
+    Attributes
+    ----------
+    identity : what it is a reconstruction of and how, from `identity_of`
+    device : name of the device that it ran on
+    stage : counted from 0
+    iterations : done in this stage
+    seconds : since the start of the run
+    stage_ends : seconds, of the stages before this one
+    history : the fields of every iteration's record
+    state : the arrays of descent and residual, and the mask
+    """
+
+    identity: dict[str, Any]
+    device: str
+    stage: int
+    iterations: int
+    seconds: float
+    stage_ends: list[float]
+    history: list[dict[str, Any]]
+    state: dict[str, np.ndarray]
+
+    @property
+    def mask(self) -> np.ndarray:
+        """bool, on the finest grid"""
+        return self.state["mask"].astype(bool)
+
+    def check(self, identity: dict[str, Any]) -> None:
+        """DataError if the run with this identity is another one; it names every key that differs."""
+        differences = _differences(self.identity, json.loads(json.dumps(identity)))
+        if differences:
+            raise DataError(
+                "the checkpoint is of another run:\n  "
+                + "\n  ".join(differences)
+                + "\ngo on with the settings and files that it was started with, or start a new run"
+            )
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Writes an .npz file: whole, or the file that was there before stays.
+
+        Raises
+        ------
+        DataError : the file cannot be written
+        """
+        header = {name: value for name, value in vars(self).items() if name != "state"}
+        text = json.dumps({"format": FORMAT, **header}).encode()
+        with written_whole(path) as partial, open(partial, "wb") as file:
+            np.savez(file, header=np.frombuffer(text, np.uint8), **self.state)  # type: ignore[arg-type]  # no array is named allow_pickle
+
+
+def joined(parts: dict[str, dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """The states of several parts as one, under "part.name"."""
+    return {f"{name}.{key}": array for name, arrays in parts.items() for key, array in arrays.items()}
+
+
+def part(state: dict[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
+    """One part out of what `joined` made."""
+    return {key.partition(".")[2]: array for key, array in state.items() if key.startswith(f"{name}.")}
+
+
+def read_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
+    """Reads what `Checkpoint.write` wrote. No code is run: pickles are refused.
+
+    Raises
+    ------
+    DataError : no such file, damaged or cut short, or written by another version
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise DataError(f"{path}: no such file: there is no checkpoint to go on from")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            state = {name: file[name] for name in file.files}
+        header = json.loads(bytes(state.pop("header")))
+        found = header.pop("format")
+        checkpoint = Checkpoint(**header, state=state) if found == FORMAT else None
+    except Exception as error:  # what a damaged file may raise has no end
+        reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise DataError(f"{path}: is no checkpoint, or damaged or cut short ({reason}): start a new run") from None
+    if checkpoint is None:
+        raise DataError(f"{path}: has format {found}, this version reads {FORMAT}: go on with the version that made it")
+    return checkpoint
+
+
+def identity_of(
+    scene: Scene,
+    measurements: Measurements,
+    stages: Sequence[Stage],
+    prior: Prior,
+    optimizer: Optimizer,
+    mask: np.ndarray,
+    truth: np.ndarray | None,
+    seed: int,
+) -> dict[str, Any]:
+    """All that decides the bits of a reconstruction, in the types of JSON: settings, and digests of arrays.
+
+    But for the number of iterations of the last stage: a run that has not settled may go on.
+    """
+
+    def settings(value: Any, *without: str) -> Any:
+        return _shortened(TypeAdapter(type(value)).dump_python(value, mode="json", exclude={*without}))
+
+    return {
+        "seed": seed,
+        "scene": settings(scene),
+        "stage": [*map(settings, stages[:-1]), settings(stages[-1], "iterations")],
+        "prior": settings(prior),
+        "optimizer": settings(optimizer, "iterations"),
+        "view": [settings(view) for view in measurements.views],
+        "images": [_digest(image) for image in measurements.images],
+        "standard_errors": [_digest(error) for error in measurements.standard_errors],
+        "calibration_errors": [*measurements.calibration_errors],
+        "mask": _digest(mask),
+        "truth": None if truth is None else _digest(np.asarray(truth, np.float64)),
+    }
+
+
+def _shortened(value: Any) -> Any:
+    """Settings with a digest in place of long lists: tables of phase functions, directions of rays."""
+    if isinstance(value, dict):
+        return {name: _shortened(inner) for name, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        if len(value) > _LONG:
+            return _DIGEST + hashlib.sha256(json.dumps(value).encode()).hexdigest()
+        return [_shortened(inner) for inner in value]
+    return value
+
+
+def _digest(array: np.ndarray) -> str:
+    return _DIGEST + hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()
+
+
+def _differences(old: Any, new: Any, key: str = "") -> list[str]:
+    """One line for each key whose values differ."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        lines = []
+        for name in [*old, *(name for name in new if name not in old)]:
+            lines += _differences(old.get(name), new.get(name), f"{key}.{name}" if key else name)
+        return lines
+    if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        return [line for index, pair in enumerate(zip(old, new)) for line in _differences(*pair, f"{key}[{index}]")]
+    if old == new:
+        return []
+    if isinstance(old, str) and isinstance(new, str) and old.startswith(_DIGEST) and new.startswith(_DIGEST):
+        return [f"{key} holds other numbers than the checkpoint's"]
+    return [f"{key} is {_shown(new)}, the checkpoint's is {_shown(old)}"]
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, str) and value.startswith(_DIGEST):
+        return "given"
+    text = "not given" if value is None else json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+class Checkpoints:
+    """Takes checkpoints every so often, and hands them to a file or to a function.
+
+    Parameters
+    ----------
+    target : a path, a function that takes a `Checkpoint`, or nothing
+    interval : seconds between checkpoints; more, where writing one takes more than 5 % of it
+    """
+
+    def __init__(
+        self, target: str | os.PathLike[str] | Callable[[Checkpoint], None] | None, interval: float
+    ) -> None:
+        self._target = target
+        self._interval = interval
+        self._due = -np.inf
+        self._last: tuple[int, int] | None = None
+
+    def take(self, now: bool, stage: int, iterations: int, make: Callable[[], Checkpoint]) -> None:
+        """Takes the checkpoint that `make` makes if it is time, or now; never the same one twice."""
+        if self._target is None or self._last == (stage, iterations):
+            return
+        start = time.monotonic()
+        if not now and start < self._due:
+            return
+        checkpoint = make()
+        if callable(self._target):
+            self._target(checkpoint)
+        else:
+            checkpoint.write(self._target)
+        end = time.monotonic()
+        self._due = end + max(self._interval, _LEAST_WORK * (end - start))
+        self._last = (stage, iterations)
+
+
+def rows(history: Sequence[Any]) -> list[dict[str, Any]]:
+    """Records of iterations as a checkpoint holds them."""
+    return [asdict(record) for record in history]

@@ -1,0 +1,84 @@
+"""The pixels that a stage looks at, and what was measured there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.inversion.objective import Gains, noise_of, pixel_weights, variance_of
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.pixels import neighbours
+from cloudtomo_cl.scene.sensors import View
+from cloudtomo_cl.scene.visibility import pixels_that_see
+
+
+@dataclass(frozen=True)
+class SeenPixels:
+    """Pixels that look at voxels of a mask.
+
+    Attributes
+    ----------
+    views : of the measurements
+    pixels : (view, row * width + column), uint32, shape (pixels, 2)
+    radiance, standard_error : as measured, W m^-2 sr^-1, shape (pixels,); errors are 0 where unknown
+    calibration_errors : of the views' gains
+    """
+
+    views: tuple[View, ...]
+    pixels: np.ndarray
+    radiance: np.ndarray
+    standard_error: np.ndarray
+    calibration_errors: tuple[float, ...]
+
+    @cached_property
+    def level(self) -> np.ndarray:
+        """Mean of a pixel's radiance and its neighbours', W m^-2 sr^-1, shape (pixels,): for weights.
+
+        Weights of a pixel's own radiance would be largest where noise has made it dark.
+        """
+        return neighbours(self.views, self.pixels) @ self.radiance
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """Of the data term, shape (pixels,)."""
+        return pixel_weights(self.level, self.standard_error)
+
+    @cached_property
+    def variance(self) -> np.ndarray:
+        """Of the measured radiances' noise, also where it is unknown, shape (pixels,)."""
+        return variance_of(self.level, self.standard_error)
+
+    @property
+    def unit(self) -> float:
+        """The data term's: the mean of weight times variance, n of the prior."""
+        return 2 * noise_of(self.variance, self.weights) / len(self.pixels)
+
+    @property
+    def gains(self) -> Gains:
+        """Of the views, which their calibration leaves open."""
+        return Gains(self.weights, self.pixels[:, 0], self.calibration_errors, self.unit)
+
+
+def seen_pixels(measurements: Measurements, grid: Grid, mask: np.ndarray) -> SeenPixels:
+    """Pixels that look at voxels of the mask and are not bad; the others teach little and cost as much.
+
+    Raises
+    ------
+    DataError : there are none
+    """
+    pixels, radiance, errors = [], [], []
+    for index, view in enumerate(measurements.views):
+        chosen = np.flatnonzero(pixels_that_see(view, grid, mask) & measurements.valid[index])
+        pixels.append(np.column_stack([np.full(len(chosen), index), chosen]))
+        radiance.append(measurements.images[index].ravel()[chosen])
+        errors.append(measurements.standard_errors[index].ravel()[chosen])
+    if not any(map(len, radiance)):
+        raise DataError("no good pixel of any view looks at the mask: check the views' positions and targets")
+    listed = np.concatenate(pixels).astype(np.uint32)
+    return SeenPixels(
+        measurements.views, listed, np.concatenate(radiance), np.concatenate(errors), measurements.calibration_errors
+    )

@@ -1,0 +1,1 @@
+"""The solvers: each a few functions of a problem and a state."""

@@ -1,0 +1,96 @@
+"""Coarse to fine: what a stage is, when it ends, and what the next one starts from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.inversion.solvers.optimizer import Optimizer
+from cloudtomo_cl.scene.grid import Count, Grid
+from cloudtomo_cl.scene.scene import NotNegative
+
+# Voxels along the longest axis of the first stage, and how fast they grow.
+_COARSEST = 6
+_GROWTH = 1.8
+# Two windows' mean costs differ if they do by more standard errors than this. With a memory of
+# images the costs of a window are correlated, so that noise passes for progress more often than
+# the 2.5 % of independent ones: a stage then ends later.
+_SIGNIFICANCE = 2.0
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class Stage:
+    """One resolution of the descent.
+
+    Attributes
+    ----------
+    grid : numbers of voxels along x, y, z
+    pixels : width and height of the images, as a share of the measured ones
+    samples : paths per pixel and iteration that derivatives are made of, even; by default so many
+        that an iteration has about 60,000 paths, with Gauss-Newton 45 for each voxel that may hold cloud
+    iterations : at most; the stage ends earlier when its cost has stopped falling
+    window : the least number of iterations whose mean cost is compared with that of as many
+        before
+    prior_weight : factor of the prior
+    """
+
+    grid: tuple[Count, Count, Count]
+    pixels: Annotated[float, Field(gt=0, le=1)] = 1.0
+    samples: Annotated[int, Field(ge=2, multiple_of=2)] | None = None
+    iterations: Count = 100
+    window: Annotated[int, Field(ge=2)] = 20
+    prior_weight: NotNegative = 1.0
+
+
+def automatic_stages(grid: Grid, method: str = "gauss-newton", iterations: int | None = None) -> tuple[Stage, ...]:
+    """Stages that grow by a factor of about 1.8 from 6 voxels along the longest axis.
+
+    An axis with fewer voxels than the longest stays in proportion, but has 4 voxels or all of
+    its own. Images have about two pixels per voxel, up to all that were measured. Gauss-Newton
+    (`method`, an `Optimizer.type`) needs few iterations, the descents many; `iterations` are those
+    of the last stage.
+    """
+    longest = max(grid.shape)
+    count = max(0, round(np.log(longest / _COARSEST) / np.log(_GROWTH))) + 1
+    shares = np.minimum((_COARSEST / longest) ** np.linspace(1, 0, count), 1.0) if count > 1 else np.ones(1)
+    stages = []
+    for share in shares:
+        nx, ny, nz = (min(n, max(4, round(n * share))) for n in grid.shape)
+        last = share == shares[-1]
+        pixels = min(1.0, 2 * share)
+        if method == "gauss-newton":
+            most, window = (30, 30) if last else (4, 20)
+        else:
+            # The last stage has the details to find, which show little in the cost: it is not given up early.
+            most, window = (600, 200) if last else (100, 20)
+        if last and iterations is not None:
+            most = iterations
+        stages.append(Stage(grid=(nx, ny, nz), pixels=pixels, iterations=most, window=window))
+    return tuple(stages)
+
+
+def stages_of(grid: Grid, stages: Sequence[Stage] | None, optimizer: Optimizer) -> tuple[Stage, ...]:
+    """Those given, or automatic ones. DataError if it is not clear which iterations count."""
+    if stages and optimizer.iterations is not None:
+        raise DataError("optimizer.iterations is for automatic stages: give those of each [[stage]], or no [[stage]]")
+    return tuple(stages or automatic_stages(grid, optimizer.type, optimizer.iterations))
+
+
+def has_settled(costs: Sequence[float], standard_errors: Sequence[float], window: int) -> bool:
+    """Whether the cost has stopped falling beyond its noise.
+
+    Compares the mean of the last costs with the mean of as many before: settled if it is not
+    lower by two standard errors of the difference. The means are over `window` costs, or over
+    a third of all if that is more: slow progress shows late.
+    """
+    if len(costs) < 2 * window:
+        return False
+    window = max(window, len(costs) // 3)
+    before, now = np.mean(costs[-2 * window : -window]), np.mean(costs[-window:])
+    noise = np.sqrt(np.sum(np.square(standard_errors[-2 * window :]))) / window
+    return bool(before - now < _SIGNIFICANCE * noise)

@@ -1,0 +1,1 @@
+"""OpenCL devices, the structs that host and kernels share, fixed-point sums."""

@@ -1,0 +1,295 @@
+"""OpenCL devices: list them, choose one, build kernels for it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cloudtomo_cl.errors import BuildError, DeviceError
+
+ENVIRONMENT_VARIABLE = "CLOUDTOMO_DEVICE"
+WORK_GROUP_SIZE = 64
+# Work items of the first launch of its kind, of the largest, and what a launch should take.
+_FIRST_LAUNCH = 1 << 18
+_LARGEST_LAUNCH = 1 << 24
+_LAUNCH_SECONDS = 0.4
+# Drivers that are known to compute wrongly, by a part of the device's name: what is said when one is opened.
+_FAULTS = {
+    "llvmpipe": "it ends loops after 65,535 rounds and says nothing, so paths through thick clouds are cut short "
+    "(no audit sees it), and it has crashed in gradients: choose another device for results",
+}
+_WIDE_ATOMICS_EXTENSION = "cl_khr_int64_base_atomics"
+_WIDE_ATOMICS, _NARROW_ATOMICS = "64-bit atomics", "32-bit atomics with carry"
+
+
+@dataclass(frozen=True)
+class DeviceInfo:
+    """A device as `cloudtomo devices` lists it. Memory in bytes."""
+
+    index: int
+    platform: str
+    name: str
+    kind: str
+    compute_units: int
+    memory: int
+    version: str
+    accumulation: str
+
+
+def _import_pyopencl() -> Any:
+    # PoCL's wheel warns about every kernel that it compiles; a failed build raises anyway.
+    os.environ.setdefault("PYOPENCL_COMPILER_OUTPUT", "0")
+    import pyopencl
+
+    return pyopencl
+
+
+# What OpenCL calls a lack of memory; INVALID_BUFFER_SIZE: larger than the device's largest piece.
+_OUT_OF_MEMORY = ("MEM_OBJECT_ALLOCATION_FAILURE", "OUT_OF_RESOURCES", "OUT_OF_HOST_MEMORY", "INVALID_BUFFER_SIZE")
+
+
+@contextmanager
+def device_errors(doing: str) -> Iterator[None]:
+    """Turns OpenCL's errors into DeviceError with advice; around a block, or as a decorator."""
+    try:
+        yield
+    except Exception as error:
+        cl = _import_pyopencl()
+        if not isinstance(error, cl.Error):
+            raise
+        text = str(error).splitlines()[0] if str(error) else type(error).__name__
+        if isinstance(error, cl.MemoryError) or any(code in text for code in _OUT_OF_MEMORY):
+            advice = "the device has not enough memory: choose fewer voxels, pixels or samples, or another device"
+        else:
+            advice = "the device or its driver failed: check it, or choose another device"
+        raise DeviceError(f"{doing} failed ({text}): {advice} (`cloudtomo devices` lists them)") from None
+
+
+def kernels_folder() -> Path:
+    """Where the kernels' sources are: in the installed package, or beside it in a checkout."""
+    package = Path(__file__).parent.parent
+    installed = package / "kernels"
+    return installed if installed.is_dir() else package.parent / "kernels"
+
+
+@contextmanager
+def _include_folders() -> Iterator[list[str]]:
+    """Where compilers find the headers; copies where a space in the path would confuse them (PoCL's)."""
+    import pyopencl
+
+    ours = kernels_folder()
+    # pyopencl adds its own folder to the options, but of a path with a space PoCL makes nothing.
+    theirs = Path(pyopencl.__file__).parent / "cl"
+    folders = [folder for folder in (ours, theirs) if " " in str(folder)]
+    if not folders or " " in tempfile.gettempdir():
+        yield [str(ours)]
+        return
+    with tempfile.TemporaryDirectory(prefix="cloudtomo-") as copy:
+        for folder in {ours, *folders}:
+            shutil.copytree(folder, copy, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
+        yield [copy]
+
+
+def _opencl_devices() -> list[Any]:
+    """All devices, GPUs first, in the order the platforms give them."""
+    cl = _import_pyopencl()
+    try:
+        platforms = cl.get_platforms()
+    except cl.Error as error:
+        raise DeviceError(
+            f"no OpenCL platform ({error}): install one, for instance pip install 'pyopencl[pocl]'"
+        ) from None
+    devices = []
+    for platform in platforms:
+        try:
+            devices += platform.get_devices()
+        except cl.Error:
+            # A platform whose driver is broken, or that has no device, must not hide the others.
+            continue
+    if not devices:
+        raise DeviceError("no OpenCL device: install a driver, for instance pip install 'pyopencl[pocl]'")
+    order = {cl.device_type.GPU: 0, cl.device_type.ACCELERATOR: 1}
+    return sorted(devices, key=lambda device: order.get(device.type & ~cl.device_type.DEFAULT, 2))
+
+
+def _accumulation(device: Any) -> str:
+    return _WIDE_ATOMICS if _WIDE_ATOMICS_EXTENSION in device.extensions.split() else _NARROW_ATOMICS
+
+
+def _kind(device: Any) -> str:
+    cl = _import_pyopencl()
+    kinds = ("GPU", "CPU", "ACCELERATOR", "CUSTOM")
+    return " | ".join(kind for kind in kinds if device.type & getattr(cl.device_type, kind))
+
+
+@device_errors("listing the devices")
+def list_devices() -> list[DeviceInfo]:
+    """Every OpenCL device of this machine; the index is what `choose_device` takes.
+
+    Raises
+    ------
+    DeviceError : there is none
+    """
+    return [
+        DeviceInfo(
+            index=index,
+            platform=device.platform.name.strip(),
+            name=device.name.strip(),
+            kind=_kind(device),
+            compute_units=device.max_compute_units,
+            memory=device.global_mem_size,
+            version=device.version.strip(),
+            accumulation=_accumulation(device),
+        )
+        for index, device in enumerate(_opencl_devices())
+    ]
+
+
+class Device:
+    """An OpenCL device with its context, queue and built kernels."""
+
+    @device_errors("opening the device")
+    def __init__(self, opencl_device: Any) -> None:
+        cl = _import_pyopencl()
+        self.opencl = opencl_device
+        self.context = cl.Context([opencl_device])
+        self.queue = cl.CommandQueue(self.context)
+        self.name = opencl_device.name.strip()
+        self.accumulation = _accumulation(opencl_device)
+        for part, fault in _FAULTS.items():
+            if part in self.name:
+                warnings.warn(f"device {self.name}: {fault} (`cloudtomo devices` lists them)", RuntimeWarning, 2)
+        self._programs: dict[str, Any] = {}
+        self._kernels: dict[tuple[str, str, tuple[str, ...]], Any] = {}
+
+    def __repr__(self) -> str:
+        return f"Device({self.name!r})"
+
+    @property
+    def shares_memory(self) -> bool:
+        """Whether its memory is the machine's own."""
+        return bool(self.opencl.host_unified_memory)
+
+    @cached_property
+    def preamble(self) -> str:
+        """OpenCL C that comes before every kernel's source: what host and kernels share."""
+        from cloudtomo_cl.opencl.layout import declarations
+
+        # Without contraction a path takes the same turns wherever its code is inlined. `inline` is an
+        # order: compilers for CPUs make functions of what is called in innermost loops. (The few large
+        # functions that they had better keep are `static`; all inlined, the kernels run 5 % faster and
+        # take twice the time to build.)
+        inlined = "#define inline inline __attribute__((always_inline))\n"
+        return "#pragma OPENCL FP_CONTRACT OFF\n" + inlined + declarations(self.opencl)
+
+    def build(self, source: str) -> Any:
+        """Builds OpenCL C that may include the shipped kernel headers; built once per source.
+
+        Raises
+        ------
+        BuildError : with device, options and the compiler's log
+        """
+        if source not in self._programs:
+            cl = _import_pyopencl()
+            with _include_folders() as folders:
+                options = ["-cl-std=CL1.2", "-w"]  # no warnings on the terminal of users
+                for folder in folders:
+                    options += ["-I", folder]
+                if self.accumulation == _WIDE_ATOMICS:
+                    options += ["-D", "CLOUDTOMO_WIDE_ATOMICS"]
+                try:
+                    with warnings.catch_warnings():
+                        # Remarks of a compiler that succeeded are nothing for users.
+                        warnings.simplefilter("ignore", cl.CompilerWarning)
+                        self._programs[source] = cl.Program(self.context, f"{self.preamble}\n{source}").build(options)
+                except cl.Error as error:
+                    space = any(" " in option for option in options)
+                    hint = "\na space in the folder's name may be the cause: install elsewhere" if space else ""
+                    raise BuildError(
+                        f"device {self.name}: a kernel did not build; choose another device (`cloudtomo devices` lists "
+                        f"them) or report this text\noptions: {' '.join(options)}\n{error}{hint}"
+                    ) from None
+        return self._programs[source]
+
+    def kernel(self, file: str, name: str, features: tuple[str, ...] = ()) -> Any:
+        """A kernel of a shipped file, for instance kernel("render", "render_paths").
+
+        features : macros that compile in what only some scenes need, for instance
+            ("CLOUDTOMO_PHASE_TABLE",)
+        """
+        if (file, name, features) not in self._kernels:
+            cl = _import_pyopencl()
+            source = "".join(f"#define {feature}\n" for feature in features) + f'#include "{file}.cl"\n'
+            program = self.build(source)
+            with device_errors(f"making the kernel {name}"):
+                self._kernels[file, name, features] = cl.Kernel(program, name)
+        return self._kernels[file, name, features]
+
+    def constant(self, values: np.ndarray) -> Any:
+        """A buffer with a copy of an array, for kernels to read."""
+        cl = _import_pyopencl()
+        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+        return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values))
+
+    def launch(self, kernel: Any, work_items: int, *arguments: Any) -> None:
+        """Runs a kernel on at least `work_items` work items (kernels skip the rest)."""
+        groups = -(-work_items // WORK_GROUP_SIZE)
+        with device_errors(f"device {self.name}: launching {kernel.function_name}"):
+            kernel(self.queue, (groups * WORK_GROUP_SIZE,), (WORK_GROUP_SIZE,), *arguments)
+
+
+class Pace:
+    """Sizes launches so that a desktop's watchdog and a progress bar live.
+
+    Attributes
+    ----------
+    work_items : what the next launch should have
+    """
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self.work_items = _FIRST_LAUNCH
+
+    def launch(self, kernel: Any, work_items: int, *arguments: Any) -> None:
+        """Runs a kernel to its end, and learns from the time it took."""
+        start = time.perf_counter()
+        self.device.launch(kernel, work_items, *arguments)
+        self.device.queue.finish()
+        wanted = work_items / max(time.perf_counter() - start, 1e-6) * _LAUNCH_SECONDS
+        self.work_items = int(min(max(wanted, self.work_items // 2), 2 * self.work_items, _LARGEST_LAUNCH))
+
+
+def choose_device(name: str | int | None = None) -> Device:
+    """Opens a device.
+
+    Parameters
+    ----------
+    name : an index of `list_devices`, or a part of a device's or platform's name; by default
+        the environment variable CLOUDTOMO_DEVICE, else the first device, GPUs before CPUs
+
+    Raises
+    ------
+    DeviceError : there is no such device
+    """
+    devices = _opencl_devices()
+    wanted = str(name) if name is not None else os.environ.get(ENVIRONMENT_VARIABLE, "0")
+    if wanted.isascii() and wanted.isdigit():
+        if int(wanted) < len(devices):
+            return Device(devices[int(wanted)])
+    else:
+        for device in devices:
+            if wanted.lower() in f"{device.platform.name} {device.name}".lower():
+                return Device(device)
+    listed = "; ".join(f"{index}: {device.name.strip()}" for index, device in enumerate(devices))
+    raise DeviceError(f"no OpenCL device {wanted!r}; there are {listed} (choose an index or a part of a name)")

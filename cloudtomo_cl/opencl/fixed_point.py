@@ -1,0 +1,34 @@
+"""The sums that kernels make in fixed point (kernels/accumulate.h), as the host finds them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloudtomo_cl.errors import TransportError
+from cloudtomo_cl.opencl.layout import LARGEST_SUM
+
+
+def first_overflow(sums: np.ndarray) -> tuple[int, ...] | None:
+    """The index of the first sum that left the range of its 64 bits; None if none did."""
+    if sums.size == 0 or (sums.max() < LARGEST_SUM and sums.min() >= -LARGEST_SUM):
+        return None
+    wrong = (sums >= LARGEST_SUM) | (sums < -LARGEST_SUM)
+    return tuple(int(i) for i in np.argwhere(wrong)[0])
+
+
+def require_sums(sums: np.ndarray, what: str, axes: str) -> None:
+    """Raises TransportError if a sum has overflowed.
+
+    Parameters
+    ----------
+    sums : as the device left them, int64
+    what : they are, for instance "the gradient"
+    axes : what their indices are, for instance "voxel"
+    """
+    place = first_overflow(sums)
+    if place is not None:
+        raise TransportError(
+            f"{what} has left the range of its 64-bit sums, or something that is no number was added to it, at {axes} "
+            f"{place}: the optics are extreme (extinction near 0 where light scatters, a very sharp phase function), "
+            "or the device is at fault; use fewer paths at a time, a larger optimizer.floor, or another device"
+        )

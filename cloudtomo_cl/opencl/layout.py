@@ -1,0 +1,190 @@
+"""The structs that host and kernels share: one description serves both sides."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.phase import DoubleHenyeyGreenstein, TabulatedPhaseFunction
+from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.scene.sensors import RayView, View
+
+STRUCTS: dict[str, np.dtype] = {
+    "Scene": np.dtype(
+        [
+            ("shape", np.int32, 3),  # voxels along x, y, z
+            ("periodic", np.int32),  # horizontally
+            ("spacing", np.float32, 3),  # km
+            ("base_height", np.float32),  # of the domain above the ground, km
+            ("sun", np.float32, 3),  # unit vector towards the sun
+            ("forward_g", np.float32),  # the droplets' double Henyey-Greenstein phase function
+            ("backward_g", np.float32),
+            ("forward_fraction", np.float32),
+            ("wide_g", np.float32),  # asymmetry of two scatterings by droplets
+            ("table_rows", np.int32),  # of the droplets' phase table; 0: they have none
+            ("table_nodes", np.int32),
+            ("air_layers", np.int32),  # from the ground to the atmosphere's top
+            ("air_layers_below", np.int32),  # those below the grid
+            ("droplet_albedo", np.float32),  # single-scattering albedo, without a table
+            ("air_albedo", np.float32),  # single-scattering albedo
+            ("surface_albedo", np.float32),
+            ("side_flights", np.int32),  # 0: the plain local estimate
+            ("truncation", np.float32),  # largest local estimate, sr^-1
+            ("skips_clear", np.int32),  # whether walks skip blocks that hold nothing
+            ("clear_shift", np.int32),  # those have 2^clear_shift voxels along each axis
+        ]
+    ),
+    "View": np.dtype(
+        [
+            ("origin", np.float32, 9),  # km from the domain's lower corner: at (0, 0), per u, per v
+            ("direction", np.float32, 9),
+            ("width", np.int32),  # pixels
+            ("height", np.int32),
+            ("first_ray", np.int32),  # in the array of rays; -1: affine
+        ]
+    ),
+    "PixelSums": np.dtype(
+        [
+            ("half_sum", np.float32, 2),  # radiances of even and odd samples, sr^-1
+            ("half_low", np.float32, 2),  # what rounding cut off the sums
+            ("square_sum", np.float32),  # of all samples, sr^-2
+            ("square_low", np.float32),
+        ]
+    ),
+}
+
+# Where the weight of a path ends. KILLED_VARIANCE and TRUNCATED (radiance, sr^-1) stand beside the balance.
+FATES = (
+    "TOP", "BOTTOM", "SIDES", "MISSED", "ABSORBED", "SURFACE", "KILLED", "LOST",
+    "LAUNCHED", "KILLED_VARIANCE", "TRUNCATED",
+)  # fmt: skip
+# What photons leave behind in the columns of the grid.
+FLUXES = ("REFLECTED", "DIRECT", "DIFFUSE", "ABSORBED")
+WEIGHT_UNIT = 2.0**24
+ACCOUNT_COPIES = 64
+FIELD_UNIT = 2.0**30
+# Paths of a pixel: kernels number them with unsigned integers of 32 bits.
+MOST_SAMPLES = 2**32 - 1
+# Sums in fixed point that leave this range on either side have overflowed: fixed_point.py.
+LARGEST_SUM = 2**62
+
+
+def _constants() -> str:
+    """The names that both sides share, in OpenCL C."""
+    lines = [
+        f"typedef enum {{ {', '.join(f'{kind.upper()}_{name}' for name in names)} }} {kind};"
+        for kind, names in (("Fate", FATES), ("Flux", FLUXES))
+    ]
+    lines.append(f"#define FATES {len(FATES)}")
+    lines.append(f"#define WEIGHT_UNIT {WEIGHT_UNIT:.1f}f")
+    lines.append(f"#define ACCOUNT_COPIES {ACCOUNT_COPIES}")
+    lines.append(f"#define FIELD_UNIT {FIELD_UNIT:.1f}f")
+    lines.append(f"#define LARGEST_SUM {LARGEST_SUM}ul")
+    return "\n".join(lines)
+
+
+def declarations(device: Any) -> str:
+    """OpenCL C declarations of all that both sides share; structs are checked against the device's own layout."""
+    from pyopencl.tools import get_or_register_dtype, match_dtype_to_c_struct
+
+    parts = [_constants()]
+    for name, dtype in STRUCTS.items():
+        matched, declaration = match_dtype_to_c_struct(device, name, dtype)
+        get_or_register_dtype(name, matched)
+        if matched != dtype:
+            raise AssertionError(f"struct {name}: the device pads it to {matched}")
+        parts.append(declaration)
+    return "\n".join(parts)
+
+
+def scene_struct(
+    scene: Scene,
+    side_flights: bool = False,
+    truncation: float = np.inf,
+    skips_clear: bool = False,
+    clear_shift: int = 0,
+) -> np.ndarray:
+    """The kernels' Scene, shape (); truncation in sr^-1."""
+    struct = np.zeros((), STRUCTS["Scene"])
+    struct["shape"] = scene.grid.shape
+    struct["periodic"] = scene.boundary.horizontal == "periodic"
+    struct["spacing"] = scene.grid.spacing
+    struct["base_height"] = scene.grid.origin[2]
+    struct["sun"] = scene.sun.direction
+    phase = scene.cloud.phase_function
+    if isinstance(phase, TabulatedPhaseFunction):
+        struct["table_rows"], struct["table_nodes"] = len(phase.values), len(phase.angle)
+    elif isinstance(phase, DoubleHenyeyGreenstein):
+        struct["forward_g"], struct["backward_g"] = phase.forward_g, phase.backward_g
+        struct["forward_fraction"] = phase.forward_fraction
+    else:
+        struct["forward_g"], struct["forward_fraction"] = phase.g, 1.0
+    struct["wide_g"] = phase.g**2
+    levels, _ = scene.air_layers()
+    struct["air_layers"] = len(levels) - 1
+    struct["air_layers_below"] = scene.air_layers_below()
+    struct["droplet_albedo"] = scene.cloud.single_scattering_albedo
+    struct["air_albedo"] = scene.air.single_scattering_albedo if scene.air else 1.0
+    struct["surface_albedo"] = scene.surface.albedo
+    struct["side_flights"] = side_flights
+    struct["truncation"] = truncation
+    struct["skips_clear"] = skips_clear
+    struct["clear_shift"] = clear_shift
+    return struct
+
+
+def view_structs(views: Sequence[View], grid: Grid, top: float | None = None) -> np.ndarray:
+    """The kernels' View of every view, shape (views,); `top` as in `AffineView.rays`."""
+    structs = np.zeros(len(views), STRUCTS["View"])
+    rays = 0
+    for struct, view in zip(structs, views):
+        struct["width"], struct["height"] = view.pixels
+        if isinstance(view, RayView):
+            struct["first_ray"] = rays
+            rays += len(view.origins)
+            continue
+        origin, direction = view.rays(grid, top)
+        origin = origin.copy()
+        origin[0] -= grid.origin
+        struct["origin"] = origin.ravel()
+        struct["direction"] = direction.ravel()
+        struct["first_ray"] = -1
+    return structs
+
+
+def sun_view_struct(scene: Scene) -> tuple[np.ndarray, float]:
+    """The sun's view of the domain, whose rays photons start along: a View, and its horizontal area, km^2.
+
+    It is the top of the domain (or of the atmosphere), a pixel for each column; with open sides
+    wider by what of the sides the sun can see.
+    """
+    grid, to_sun = scene.grid, scene.sun.direction
+    lower, upper = np.zeros(2), np.array(grid.extent[:2])
+    columns = np.array(grid.shape[:2])
+    if scene.boundary.horizontal == "open":
+        shift = grid.extent[2] * to_sun[:2] / to_sun[2]
+        lower, upper = np.minimum(lower, shift), np.maximum(upper, upper + shift)
+        columns = np.ceil((upper - lower) / grid.spacing[:2] - 1e-9).astype(int)
+    struct = np.zeros((), STRUCTS["View"])
+    struct["origin"] = [*lower, scene.top - grid.origin[2], upper[0] - lower[0], 0, 0, 0, upper[1] - lower[1], 0]
+    struct["direction"][:3] = -to_sun
+    struct["width"], struct["height"] = columns
+    struct["first_ray"] = -1
+    return struct, float(np.prod(upper - lower))
+
+
+def ray_array(views: Sequence[View], scene: Scene) -> np.ndarray:
+    """The rays of all views that are lists of rays, one after the other.
+
+    Returns an array (rays, 6), float32: origins in km from the domain's lower corner,
+    directions. It has one ray that nobody looks at if there is no such view.
+    """
+    arrays = [
+        np.hstack([view.starts(scene) - scene.grid.origin, view.directions])
+        for view in views
+        if isinstance(view, RayView)
+    ]
+    return np.concatenate(arrays or [np.zeros((1, 6))]).astype(np.float32)

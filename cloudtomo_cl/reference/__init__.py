@@ -1,0 +1,1 @@
+"""The physics once more in slow NumPy, which the kernels are tested against."""

@@ -1,0 +1,499 @@
+"""A slow, plain transport and gradient in double precision, to check the fast ones by.
+
+Everything here is written from the equations, one path at a time, with no thought of speed.
+It draws the random numbers of docs/sampling.md, as the kernels do, so that a path of the
+kernels and its path here are the same one up to rounding.
+
+In the order of reading: rays, flights, paths; random numbers and scattering have files of their own. Lengths are
+in km, extinction in km^-1, radiances in sr^-1 (for a sun of irradiance 1). Equation numbers
+are those of the supplement on the monotonicity prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from cloudtomo_cl.reference.random import uniforms
+from cloudtomo_cl.reference.scattering import (
+    Particle,
+    direction_around,
+    droplet_density,
+    droplet_in_voxel,
+    henyey_greenstein,
+    middle_row,
+    sample_droplet,
+    scatter,
+    scatter_density,
+)
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.scene import Air, Scene
+from cloudtomo_cl.scene.sensors import View
+
+# docs/sampling.md gives the meaning of these numbers.
+BLOCKS_PER_EVENT = 64
+SUN_VIEW = 2**32 - 1
+PATH_ROULETTE_WEIGHT = 0.1
+LOCAL_ESTIMATE_ROULETTE = 0.03
+SIDE_FLIGHT_RATE, SIDE_FLIGHT_LEAST, SIDE_FLIGHT_MOST = 6.0, 0.05, 6.0
+
+
+# --- rays -------------------------------------------------------------------------------
+
+
+def camera_ray(view: View, grid: Grid, column: float, row: float) -> tuple[np.ndarray, np.ndarray]:
+    """The ray of a point of an image.
+
+    Parameters
+    ----------
+    column, row : in pixels from the upper left corner of the image; pixel (i, j) is the
+        square from (i, j) to (i + 1, j + 1)
+
+    Returns its origin (km, shape (3,)) and its direction, a unit vector.
+    """
+    width, height = view.pixels
+    if view.type == "rays":
+        index = int(row) * width + int(column)
+        return view.origins[index], view.directions[index]
+    top = grid.origin[2] + grid.extent[2]
+    if view.type == "push-broom":
+        start, end = np.array(view.start), np.array(view.end)
+        ahead = (end - start) / np.sqrt(np.sum((end - start) ** 2))
+        to_the_right = np.array([ahead[1], -ahead[0], 0.0])
+        tilt = np.radians(view.along_track_angle)
+        slope = (2 * column / width - 1) * np.tan(np.radians(view.field_of_view) / 2)
+        direction = np.sin(tilt) * ahead + slope * to_the_right
+        direction[2] -= np.cos(tilt)
+        # The track ends at the top of the image.
+        return start + (1 - row / height) * (end - start), direction / np.linalg.norm(direction)
+    if view.type == "radiometer":
+        theta, phi = np.radians(view.zenith), np.radians(view.azimuth)
+        direction = -np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+        east = grid.origin[0] + column / width * grid.extent[0]
+        north = grid.origin[1] + (1 - row / height) * grid.extent[1]
+        return np.array([east, north, top if view.zenith < 90 else grid.origin[2]]), direction
+    if view.position is not None and view.target is not None:
+        sight = np.subtract(view.target, view.position).astype(float)
+        sight /= np.linalg.norm(sight)
+    else:
+        assert view.zenith is not None and view.azimuth is not None
+        theta, phi = np.radians(view.zenith), np.radians(view.azimuth)
+        sight = -np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+    up = view.up
+    if up is None:
+        up = (0.0, 1.0, 0.0) if abs(sight[2]) > 1 - 1e-12 else (0.0, 0.0, 1.0)
+    right = np.cross(sight, up)
+    right /= np.linalg.norm(right)
+    upward = np.cross(right, sight)
+    # From the image's centre, in units of half its width: pixels are square.
+    to_right, to_top = 2 * column / width - 1, (height - 2 * row) / width
+    if view.type == "perspective":
+        tangent = np.tan(np.radians(view.field_of_view / 2))
+        direction = sight + tangent * (to_right * right + to_top * upward)
+        return np.array(view.position, float), direction / np.linalg.norm(direction)
+    offset = view.width / 2 * (to_right * right + to_top * upward)
+    if view.position is not None:
+        return np.array(view.position, float) + offset, sight
+    centre = np.array(grid.centre if view.target is None else view.target, float) + offset
+    # From above any atmosphere.
+    return centre - sight * (max(top - centre[2], 0.0) + 100.0) / -sight[2], sight
+
+
+# --- flights ----------------------------------------------------------------------------
+
+
+def voxel_crossings(
+    grid: Grid, position: np.ndarray, direction: np.ndarray, periodic: bool = False
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Every voxel that a ray crosses: all intersections with faces, sorted.
+
+    Parameters
+    ----------
+    position : km, shape (3,), anywhere
+    direction : a unit vector, shape (3,)
+    periodic : whether the domain is repeated horizontally
+
+    Returns the voxels, int of shape (n, 3); the distances at which the ray enters them (km
+    from position, shape (n,)); and the lengths of the crossings (km, shape (n,)). Crossings
+    of no length are left out. A ray that runs inside a face belongs to the upper voxel.
+
+    Raises
+    ------
+    ValueError : the ray stays in a periodic domain for ever
+    """
+    start = (np.asarray(position, float) - grid.origin) / grid.spacing  # voxel units
+    speed = np.asarray(direction, float) / grid.spacing  # voxels per km
+    near, far = 0.0, np.inf
+    for axis in (2,) if periodic else (0, 1, 2):
+        if speed[axis] == 0:
+            if not 0 <= start[axis] <= grid.shape[axis]:
+                far = -np.inf
+            continue
+        ends = np.sort((np.array([0, grid.shape[axis]]) - start[axis]) / speed[axis])
+        near, far = max(near, ends[0]), min(far, ends[1])
+    if not near < far:
+        return np.zeros((0, 3), int), np.zeros(0), np.zeros(0)
+    if far == np.inf:
+        raise ValueError("a horizontal ray never leaves a periodic domain")
+    cuts = [near, far]
+    for axis in range(3):
+        if speed[axis] != 0:
+            lower, upper = np.sort(start[axis] + np.array([near, far]) * speed[axis])
+            faces = np.arange(np.ceil(lower), np.floor(upper) + 1)
+            cuts.extend((faces - start[axis]) / speed[axis])
+    distances = np.sort(np.clip(cuts, near, far))
+    lengths = np.diff(distances)
+    middles = start + (distances[:-1] + lengths / 2)[:, None] * speed
+    voxels = np.floor(middles).astype(int)
+    shape = np.array(grid.shape)
+    horizontal = voxels[:, :2] % shape[:2] if periodic else np.clip(voxels[:, :2], 0, shape[:2] - 1)
+    voxels = np.column_stack([horizontal, np.clip(voxels[:, 2], 0, shape[2] - 1)])
+    # Faces that differ by rounding only would cut off slivers.
+    real = lengths > 1e-13 * max(1.0, far)
+    return voxels[real], distances[:-1][real], lengths[real]
+
+
+def air_layers(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Levels of all layers of air, km above the ground, and the extinction of their molecules, km^-1."""
+    return _air_layers(scene.air, scene.grid)
+
+
+@lru_cache
+def _air_layers(air: Air | None, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    return (air or Air(extinction=0.0)).layers(grid)
+
+
+def outside_crossings(
+    scene: Scene, position: np.ndarray, direction: np.ndarray, inside: tuple[float, float] | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Layers of air that a ray crosses outside of the grid, but for the distances `inside` of it, km.
+
+    Returns the layers' extinctions (km^-1), the distances at which they are entered, and the lengths (km).
+    """
+    height, rise = position[2], direction[2]
+    if scene.air is None or not scene.air.is_outside or rise == 0:
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+    levels, extinction = air_layers(scene)
+    cuts = np.sort(np.maximum((levels - height) / rise, 0.0))
+    cuts = np.unique(np.concatenate([cuts, np.clip(inside or (), cuts[0], cuts[-1])]))
+    starts, lengths = cuts[:-1], np.diff(cuts)
+    middles = starts + lengths / 2
+    layer = np.clip(np.searchsorted(levels, height + middles * rise) - 1, 0, len(extinction) - 1)
+    outside = np.ones(len(starts), bool) if inside is None else (middles < inside[0]) | (middles > inside[1])
+    return extinction[layer][outside], starts[outside], lengths[outside]
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A free flight, or the way to the sun.
+
+    Attributes
+    ----------
+    lengths : flown in every voxel, km, shape of the grid
+    depth : optical depth flown through
+    position : where it collided or left all that scatters, km (None: it never met any of it)
+    collided : whether it did
+    voxel : where it collided (None: outside of the grid, or not at all)
+    through_side : whether it left the grid by a side
+    """
+
+    lengths: np.ndarray
+    depth: float
+    position: np.ndarray | None = None
+    collided: bool = False
+    voxel: tuple[int, int, int] | None = None
+    through_side: bool = False
+
+
+def fly(
+    scene: Scene, extinction: np.ndarray, position: np.ndarray, direction: np.ndarray, reach: float = np.inf
+) -> Flight:
+    """Flies until an optical depth `reach` of droplets and air, or out of both (Eqs. 3, 12, 16)."""
+    grid = scene.grid
+    voxels, starts, crossed = voxel_crossings(grid, position, direction, scene.boundary.horizontal == "periodic")
+    lengths = np.zeros(grid.shape)
+    met = len(voxels) > 0
+    inside = (starts[0], starts[-1] + crossed[-1]) if met else None
+    levels, layers = air_layers(scene)
+    below = int(np.argmin(np.abs(levels - grid.origin[2])))
+    total = extinction[tuple(voxels.T)] + layers[below + voxels[:, 2]]
+    others, other_starts, others_crossed = outside_crossings(scene, position, direction, inside)
+    if len(others):
+        order = np.argsort(np.concatenate([starts, other_starts]), kind="stable")
+        voxels = np.concatenate([voxels, np.full((len(others), 3), -1)])[order]
+        starts = np.concatenate([starts, other_starts])[order]
+        crossed = np.concatenate([crossed, others_crossed])[order]
+        total = np.concatenate([total, others])[order]
+    if len(starts) == 0:
+        return Flight(lengths, 0.0)
+    depths = np.concatenate([[0.0], np.cumsum(total * crossed)])  # at the faces
+    collided = bool(depths[-1] >= reach)
+    if collided:
+        last = int(np.argmax(depths >= reach)) - 1
+        voxels, starts, crossed = voxels[: last + 1], starts[: last + 1], crossed[: last + 1].copy()
+        crossed[last] = (reach - depths[last]) / total[last]
+    in_grid = voxels[:, 0] >= 0
+    np.add.at(lengths, tuple(voxels[in_grid].T), crossed[in_grid])
+    end = position + (starts[-1] + crossed[-1]) * direction
+    if collided:
+        x, y, z = (int(i) for i in voxels[-1])
+        return Flight(lengths, reach, end, True, (x, y, z) if x >= 0 else None)
+    left = 0.0 if inside is None else (position + inside[1] * direction)[2] - grid.origin[2]
+    side = met and 1e-9 < left < grid.extent[2] - 1e-9
+    return Flight(lengths, float(depths[-1]), end, through_side=side)
+
+
+def transmittance(scene: Scene, extinction: np.ndarray, position: np.ndarray, direction: np.ndarray) -> float:
+    """From a position to where a ray leaves all that scatters."""
+    return float(np.exp(-fly(scene, extinction, position, direction).depth))
+
+
+def met_particle(
+    scene: Scene, extinction: np.ndarray, effective_radius: np.ndarray | None, flight: Flight, u: float, u_row: float
+) -> tuple[Particle, float, float]:
+    """The particle of a collision, its single-scattering albedo, and 1 / extinction of a droplet, else 0."""
+    if flight.voxel is not None:
+        levels, layers = air_layers(scene)
+        air = layers[int(np.argmin(np.abs(levels - scene.grid.origin[2]))) + flight.voxel[2]]
+        droplets = extinction[flight.voxel]
+        if u * (droplets + air) < droplets:
+            radius = None if effective_radius is None else effective_radius[flight.voxel]
+            return *droplet_in_voxel(scene, radius, u_row), 1 / droplets
+    return Particle("molecule"), scene.air.single_scattering_albedo, 0.0  # type: ignore[union-attr]
+
+
+# --- paths ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """What one local estimate adds to a path.
+
+    Attributes
+    ----------
+    radiance : sr^-1, for a sun of irradiance 1
+    derivative : of its mean, by the voxels' extinction, sr^-1 km, shape of the grid
+    """
+
+    radiance: float
+    derivative: np.ndarray
+
+
+def local_estimate(
+    scene: Scene, extinction: np.ndarray, position: np.ndarray, weight: float, history: np.ndarray,
+    u_roulette: float | None, truncation: float = np.inf,
+) -> Contribution:
+    """Sunlight at a collision (Eq. 4), with the gradient of Eqs. 13-18.
+
+    Parameters
+    ----------
+    weight : sr^-1, all but the transmittance to the sun
+    history : d log(density of the path up to here) / d extinction, km, shape of the grid
+    u_roulette : plays the roulette on what the estimate is worth; None: no roulette
+    truncation : sr^-1, what is cut to it no longer depends on the way to the sun
+
+    The derivative of the density of a path and its transmittance to the sun is minus the
+    lengths of all segments, plus 1 / extinction at every collision with a droplet.
+    """
+    way = fly(scene, extinction, position, scene.sun.direction)
+    worth = weight * np.exp(-way.depth)
+    if u_roulette is None:
+        radiance = worth
+    else:
+        survives = worth > u_roulette * LOCAL_ESTIMATE_ROULETTE
+        radiance = max(worth, LOCAL_ESTIMATE_ROULETTE) if survives else 0.0
+    if radiance >= truncation:
+        return Contribution(truncation, truncation * history)
+    return Contribution(radiance, radiance * (history - way.lengths))
+
+
+def side_flights(
+    scene: Scene, extinction: np.ndarray, effective_radius: np.ndarray | None, position: np.ndarray,
+    before: np.ndarray, particle: Particle, weight: float, count: float, history: np.ndarray, number: int,
+    random: Iterator[np.ndarray], truncation: float = np.inf,
+) -> Iterator[Contribution]:
+    """The next order's sunlight by `number` flights drawn around the sun (docs/sampling.md).
+
+    They share the estimate with the path's own next flight by the balance heuristic
+    (Veach and Guibas 1995); `count` is the mean of `number`.
+    """
+    sun, row = scene.sun.direction, middle_row(scene)
+    for _ in range(number):
+        w, w_next = next(random), next(random)
+        direction = direction_around(sun, sample_droplet(scene, row, w[2]), w[3])
+        flight = fly(scene, extinction, position, direction, -np.log(w[0]))
+        if not flight.collided:
+            continue
+        assert flight.position is not None, "what collided is somewhere"
+        target, albedo, inverse = met_particle(scene, extinction, effective_radius, flight, w[1], w_next[1])
+        density = scatter_density(scene, particle, before, direction)
+        sun_density = droplet_density(scene, row, direction @ sun)
+        estimate = weight * albedo * density * scatter_density(scene, target, direction, sun)
+        estimate /= density + count * sun_density
+        onward = history - flight.lengths
+        if inverse:
+            onward[flight.voxel] += inverse
+        yield local_estimate(scene, extinction, flight.position, estimate, onward, w_next[0], truncation)
+
+
+@dataclass(frozen=True)
+class Event:
+    """An interaction of a path.
+
+    Attributes
+    ----------
+    number : 1, 2, ...
+    position, direction : km; the direction it comes along
+    particle, albedo : what it met
+    weight : that the path came with
+    survivor : the weight it goes on with, after albedo and roulette; 0 if it ends here
+    onward : the direction it goes on in
+    history : d log(density of the path up to here) / d extinction, km, shape of the grid
+    """
+
+    number: int
+    position: np.ndarray
+    direction: np.ndarray
+    particle: Particle
+    albedo: float
+    weight: float
+    survivor: float
+    onward: np.ndarray
+    history: np.ndarray
+
+
+def walk(
+    scene: Scene, extinction: np.ndarray, effective_radius: np.ndarray | None, position: np.ndarray,
+    direction: np.ndarray, block: Callable[[int], np.ndarray],
+    leave: Callable[[int, Flight, np.ndarray, float], None] = lambda *_: None,
+) -> Iterator[Event]:
+    """The random walk.
+
+    Parameters
+    ----------
+    position, direction : of its first ray, km
+    block : the uniform numbers of a block
+    leave : called with event number, flight, direction and weight wherever the path leaves all that
+        scatters, also on its way to the surface
+
+    Source: docs/sampling.md.
+    """
+    history, weight, number = np.zeros(scene.grid.shape), 1.0, 0
+    while True:
+        number += 1
+        u, v = block(BLOCKS_PER_EVENT * number), block(BLOCKS_PER_EVENT * number + 1)
+        flight = fly(scene, extinction, position, direction, -np.log(u[0]))
+        history = history - flight.lengths
+        if flight.position is not None:
+            position = flight.position
+        if flight.collided:
+            particle, albedo, inverse = met_particle(scene, extinction, effective_radius, flight, u[1], v[3])
+            if inverse:
+                history[flight.voxel] += inverse
+        else:
+            leave(number, flight, direction, weight)
+            if scene.surface.albedo == 0 or direction[2] >= 0:
+                return
+            particle, albedo = Particle("surface"), scene.surface.albedo
+            position = position + direction * (position[2] / -direction[2])
+            position[2] = 0.0
+        survivor = weight * albedo
+        if survivor < PATH_ROULETTE_WEIGHT:
+            survivor = PATH_ROULETTE_WEIGHT if v[1] * PATH_ROULETTE_WEIGHT < survivor else 0.0
+        onward = scatter(scene, particle, direction, u[2], u[3])
+        yield Event(number, position, direction, particle, albedo, weight, survivor, onward, history)
+        if survivor == 0:
+            return
+        weight, direction = survivor, onward
+
+
+def path(
+    scene: Scene, extinction: np.ndarray, view: View, seed: int, iteration: int,
+    view_index: int, pixel: int, sample: int, with_side_flights: bool, effective_radius: np.ndarray | None = None,
+    truncation: float = np.inf,
+) -> list[Contribution]:
+    """All contributions of one path; their sum is its radiance.
+
+    Parameters
+    ----------
+    extinction : of the droplets, km^-1, shape of the grid
+    view_index : the view's index among all views, one of the counters of the random numbers
+    pixel : row * width + column
+    effective_radius : micrometres, shape of the grid; by default the scene's
+    truncation : of every contribution, sr^-1
+
+    Source: Eqs. 1-4, 12, 16; the random numbers are laid out as in docs/sampling.md.
+    """
+
+    def block(number: int) -> np.ndarray:
+        return uniforms(seed, iteration, view_index, pixel, sample, number)
+
+    sun, wide_g = scene.sun.direction, scene.cloud.phase_function.g ** 2
+    jitter = block(0)
+    width = view.pixels[0]
+    position, direction = camera_ray(view, scene.grid, pixel % width + jitter[0], pixel // width + jitter[1])
+    contributions: list[Contribution] = []
+    own_share = 1.0
+    for event in walk(scene, extinction, effective_radius, position, direction, block):
+        if event.particle.kind == "surface":
+            own_share = 1.0  # side flights estimate collisions only
+        towards_sun = own_share * event.weight * event.albedo
+        towards_sun *= scatter_density(scene, event.particle, event.direction, sun)
+        v = block(BLOCKS_PER_EVENT * event.number + 1)
+        # What a camera sees directly, and the ground, stay free of the roulette's noise.
+        plays = with_side_flights and event.number > 1 and event.particle.kind != "surface"
+        roulette = v[0] if plays else None
+        contributions.append(
+            local_estimate(scene, extinction, event.position, towards_sun, event.history, roulette, truncation)
+        )
+        if with_side_flights and event.survivor > 0:
+            count = SIDE_FLIGHT_RATE * event.survivor * henyey_greenstein(event.direction @ sun, wide_g)
+            count = min(max(count, SIDE_FLIGHT_LEAST), SIDE_FLIGHT_MOST)
+            first = BLOCKS_PER_EVENT * event.number + 2
+            random = (block(first + n) for n in range(BLOCKS_PER_EVENT - 2))
+            contributions.extend(
+                side_flights(
+                    scene, extinction, effective_radius, event.position, event.direction, event.particle,
+                    event.survivor, count, event.history, int(count + v[2]), random, truncation,
+                )
+            )
+            density = scatter_density(scene, event.particle, event.direction, event.onward)
+            own_share = density / (density + count * droplet_density(scene, middle_row(scene), event.onward @ sun))
+    return contributions
+
+
+def photon(
+    scene: Scene, extinction: np.ndarray, seed: int, position: np.ndarray, pixel: int, sample: int,
+    effective_radius: np.ndarray | None = None,
+) -> list[tuple[str, tuple[int, int], float]]:
+    """What a photon from the sun leaves behind in the columns of the grid: (flux, column, weight).
+
+    Parameters
+    ----------
+    position : where it starts, km, on the top of all that scatters; its first two uniform numbers
+        are given to it by the caller
+    """
+    grid, periodic = scene.grid, scene.boundary.horizontal == "periodic"
+    tally: list[tuple[str, tuple[int, int], float]] = []
+
+    def column(place: np.ndarray) -> tuple[int, int]:
+        x, y = (int(i) for i in np.floor((place[:2] - grid.origin[:2]) / grid.spacing[:2]))
+        return (x % grid.shape[0], y % grid.shape[1]) if periodic else (x, y)
+
+    def leave(number: int, flight: Flight, direction: np.ndarray, weight: float) -> None:
+        if not periodic and (flight.through_side or flight.position is None):
+            return
+        assert flight.position is not None, "without a way out there is no column"
+        down = "direct" if number == 1 else "diffuse"
+        tally.append(("reflected" if direction[2] > 0 else down, column(flight.position), weight))
+
+    def block(number: int) -> np.ndarray:
+        return uniforms(seed, 0, SUN_VIEW, pixel, sample, number)
+
+    for event in walk(scene, extinction, effective_radius, position, -scene.sun.direction, block, leave):
+        if event.particle.kind != "surface" and event.albedo < 1:
+            tally.append(("absorbed", column(event.position), event.weight * (1 - event.albedo)))
+    return tally

@@ -1,0 +1,104 @@
+"""Optics of droplets by their size: tables of Mie's theory, and extinction from liquid water.
+
+Radii are in micrometres, wavelengths in nm, liquid water in g m^-3, extinction in km^-1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
+
+# g m^-3.
+WATER_DENSITY = 1e6
+_METRES_PER_KILOMETRE = 1e3
+_MICROMETRES_PER_METRE = 1e6
+# Large droplets take twice the light that falls on them (van de Hulst 1957, sec. 8.22).
+GEOMETRIC_EXTINCTION_EFFICIENCY = 2.0
+
+
+@dataclass(frozen=True)
+class DropletTable:
+    """Optics of droplets of several effective radii at one wavelength.
+
+    Attributes
+    ----------
+    phase_function : with its effective radii (k of them) and single-scattering albedos
+    extinction_efficiency : extinction over geometric cross-section, both summed over the sizes, k values
+    wavelength_nm : in air
+    effective_variance : of the size distribution
+    refractive_index_real, refractive_index_imag : of the droplets; the second is positive, and absorbs
+    """
+
+    phase_function: TabulatedPhaseFunction
+    extinction_efficiency: tuple[float, ...]
+    wavelength_nm: float
+    effective_variance: float
+    refractive_index_real: float
+    refractive_index_imag: float
+
+    def __post_init__(self) -> None:
+        if len(self.extinction_efficiency) != len(self.phase_function.effective_radius):
+            raise DataError(
+                f"extinction_efficiency has {len(self.extinction_efficiency)} entries: it must have "
+                f"{len(self.phase_function.effective_radius)}, one for each effective_radius"
+            )
+
+    @property
+    def mass_extinction(self) -> np.ndarray:
+        """Extinction of a gram of water in droplets of each effective radius, m^2 g^-1, shape (k,)."""
+        return _mass_extinction(self.extinction_efficiency, np.array(self.phase_function.effective_radius))
+
+
+def _mass_extinction(efficiency: np.ndarray | tuple[float, ...] | float, radius: np.ndarray) -> np.ndarray:
+    """3 Q / (4 rho r_e), m^2 g^-1: cross-section over mass, by the definition of the effective radius."""
+    return 0.75 * np.asarray(efficiency) / (WATER_DENSITY * radius / _MICROMETRES_PER_METRE)
+
+
+def extinction_from_water(
+    liquid_water_content: np.ndarray | float,
+    effective_radius: np.ndarray | float,
+    table: DropletTable | None = None,
+) -> np.ndarray:
+    """The extinction of liquid water in droplets.
+
+    Parameters
+    ----------
+    liquid_water_content : g m^-3, any shape
+    effective_radius : micrometres, of that shape or a number; where there is no water it does not matter
+    table : the extinction efficiency is interpolated in it, linear in the radius; without a table
+        it is 2, the limit of large droplets: 3 LWC / (2 rho r_e) (Stephens 1978, Eq. 7), which is
+        6 to 10 % too little for droplets of 5 to 10 micrometres in visible light
+
+    Returns
+    -------
+    extinction : km^-1, of that shape, float64
+
+    Raises
+    ------
+    DataError : water that is negative or not finite; a radius that is not positive, or outside of
+        the table, where there is water
+    """
+    water, radius = np.broadcast_arrays(
+        np.asarray(liquid_water_content, dtype=np.float64), np.asarray(effective_radius, dtype=np.float64)
+    )
+    if not (np.isfinite(water) & (water >= 0)).all():
+        raise DataError("liquid_water_content must be finite and at least 0 g m^-3 everywhere")
+    wet = water > 0
+    if not (np.isfinite(radius[wet]) & (radius[wet] > 0)).all():
+        raise DataError("effective_radius must be finite and greater than 0 micrometres where there is water")
+    efficiency: np.ndarray | float = GEOMETRIC_EXTINCTION_EFFICIENCY
+    if table is not None and wet.any():
+        nodes = table.phase_function.effective_radius
+        if radius[wet].min() < nodes[0] or radius[wet].max() > nodes[-1]:
+            raise DataError(
+                f"effective_radius is {radius[wet].min():g} to {radius[wet].max():g} micrometres, the table has "
+                f"{nodes[0]:g} to {nodes[-1]:g}: make a table of more radii, or limit the radius"
+            )
+        efficiency = np.interp(radius[wet], nodes, table.extinction_efficiency)
+    extinction = np.zeros(water.shape)
+    extinction[wet] = water[wet] * _mass_extinction(efficiency, radius[wet]) * _METRES_PER_KILOMETRE
+    return extinction

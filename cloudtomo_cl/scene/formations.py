@@ -1,0 +1,198 @@
+"""Several views at once: rings and strings of sensors, as multi-angle campaigns fly them; all-sky cameras.
+
+Each formation is a table `[[view]]` of the settings too, and stands for several views.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import ConfigDict, Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from cloudtomo_cl.scene.grid import Coordinate, Count, Length, Triple
+from cloudtomo_cl.scene.scene import Angle
+from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, Pixels, PushBroomView, RayView
+
+AlongTrackAngle = Annotated[float, Field(gt=-90, lt=90)]
+AlongTrackAngles = Annotated[tuple[AlongTrackAngle, ...], Field(min_length=1)]
+
+# View angles at the ground, degrees from nadir, of MISR's nine cameras Df to Da.
+# Source: Diner et al. 1998, IEEE Trans. Geosci. Remote Sens. 36, 1072-1087.
+MISR_ANGLES = (70.5, 60.0, 45.6, 26.1, 0.0, -26.1, -45.6, -60.0, -70.5)
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class RingOfViews:
+    """Cameras on a horizontal ring that look at one point, and one at nadir above it.
+
+    Attributes
+    ----------
+    target : km, what all look at
+    height : of the cameras, km above the ground
+    radius : of the ring, km, around the vertical through the target
+    field_of_view : degrees, across an image's width
+    pixels : (width, height) of each image
+    count : cameras on the ring
+    azimuth : of the first one, degrees from +x towards +y; the others follow in this sense
+    nadir : whether a camera above the target comes first; its image has north up
+    """
+
+    target: Triple
+    height: Coordinate
+    radius: Length
+    field_of_view: Annotated[float, Field(gt=0, lt=180)]
+    pixels: Pixels
+    count: Count = 8
+    azimuth: Angle = 0.0
+    nadir: bool = True
+    type: Literal["ring"] = "ring"
+
+    @model_validator(mode="after")
+    def _check(self) -> RingOfViews:
+        if not self.height > self.target[2]:
+            raise ValueError(f"height is {self.height} km: it must be above the target's {self.target[2]} km")
+        if self.height < 0:
+            raise ValueError("height lies below the ground, z = 0: raise it")
+        return self
+
+    def views(self) -> tuple[PerspectiveView, ...]:
+        """The cameras: nadir first, then around the ring."""
+        east, north, _ = self.target
+        angles = np.radians(self.azimuth + 360.0 * np.arange(self.count) / self.count)
+        positions = [(east, north)] if self.nadir else []
+        positions += [(east + self.radius * np.cos(angle), north + self.radius * np.sin(angle)) for angle in angles]
+        return tuple(
+            PerspectiveView((x, y, self.height), self.target, self.field_of_view, self.pixels) for x, y in positions
+        )
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class StringOfViews:
+    """Orthographic views of one point from several angles along a flight track, as from a satellite.
+
+    All images have the flight direction up.
+
+    Attributes
+    ----------
+    width : of each image, km, measured across the rays
+    pixels : (width, height) of each image
+    along_track_angles : degrees from nadir in which the sensor looks, positive ahead: it then still
+        stands behind the target. By default MISR's nine.
+    azimuth : of the flight direction, degrees from +x (east) towards +y (north)
+    target : km; by default the domain's centre
+    """
+
+    width: Length
+    pixels: Pixels
+    along_track_angles: AlongTrackAngles = MISR_ANGLES
+    azimuth: Angle = 90.0
+    target: Triple | None = None
+    type: Literal["string"] = "string"
+
+    def views(self) -> tuple[OrthographicView, ...]:
+        """One view for each angle, in their order."""
+        ahead = np.radians(self.azimuth)
+        return tuple(
+            OrthographicView(
+                width=self.width,
+                pixels=self.pixels,
+                zenith=abs(angle),
+                # A sensor that looks ahead stands behind.
+                azimuth=self.azimuth + (180.0 if angle > 0 else 0.0),
+                up=(np.cos(ahead), np.sin(ahead), 0.0),
+                target=self.target,
+            )
+            for angle in self.along_track_angles
+        )
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class StringOfScans:
+    """Push-broom images of one place from several angles along one flight track.
+
+    Each angle scans a stretch of the track that is moved back by what it looks ahead, so that
+    the lines of all images cover the same ground at the target's height.
+
+    Attributes
+    ----------
+    target : km, what the middle of every image looks at
+    height : of the track, km above the ground
+    length : of each scanned stretch, km
+    field_of_view : degrees, across the track
+    pixels : (across, along) the track
+    along_track_angles : degrees from nadir, positive ahead; by default MISR's nine
+    azimuth : of the flight direction, degrees from +x (east) towards +y (north)
+    """
+
+    target: Triple
+    height: Coordinate
+    length: Length
+    field_of_view: Annotated[float, Field(gt=0, lt=180)]
+    pixels: Pixels
+    along_track_angles: AlongTrackAngles = MISR_ANGLES
+    azimuth: Angle = 90.0
+    type: Literal["scans"] = "scans"
+
+    @model_validator(mode="after")
+    def _check(self) -> StringOfScans:
+        if not self.height > self.target[2]:
+            raise ValueError(f"height is {self.height} km: it must be above the target's {self.target[2]} km")
+        if self.height < 0:
+            raise ValueError("height lies below the ground, z = 0: raise it")
+        return self
+
+    def views(self) -> tuple[PushBroomView, ...]:
+        """One view for each angle, in their order."""
+        azimuth = np.radians(self.azimuth)
+        ahead, above = np.array([np.cos(azimuth), np.sin(azimuth)]), self.height - self.target[2]
+        views = []
+        for angle in self.along_track_angles:
+            middle = np.array(self.target[:2]) - above * np.tan(np.radians(angle)) * ahead
+            start, end = middle - self.length / 2 * ahead, middle + self.length / 2 * ahead
+            views.append(
+                PushBroomView(
+                    (start[0], start[1], self.height),
+                    (end[0], end[1], self.height),
+                    self.field_of_view,
+                    self.pixels,
+                    angle,
+                )
+            )
+        return tuple(views)
+
+
+def fisheye_rays(position: Triple, pixels: int, field_of_view: float = 180.0) -> tuple[RayView, np.ndarray]:
+    """An all-sky camera: an equidistant fisheye that looks straight up.
+
+    The zenith angle of a pixel grows in proportion to its distance from the image's centre. Row 0
+    is north; the sky is seen from below, so east is on the left. There is one ray for each pixel,
+    through its centre, and none for pixels outside of the image's circle.
+
+    Parameters
+    ----------
+    position : km
+    pixels : of the circle's diameter
+    field_of_view : degrees, from one side of the circle to the other; 180 reaches the horizon
+
+    Returns
+    -------
+    view : the rays of the pixels inside the circle, row after row, as one row of pixels
+    circle : bool, (pixels, pixels): where they lie. `image[circle] = radiance` makes the image.
+
+    Raises
+    ------
+    ValueError : pixels is not positive, field_of_view is not above 0 and at most 180
+    """
+    if pixels < 1:
+        raise ValueError(f"pixels is {pixels}: it must be at least 1")
+    if not 0 < field_of_view <= 180:
+        raise ValueError(f"field_of_view is {field_of_view}: it must be above 0 and at most 180 degrees")
+    places = (2 * np.arange(pixels) + 1) / pixels - 1
+    east, north = np.meshgrid(-places, -places)
+    distance = np.hypot(east, north)
+    circle = distance < 1
+    zenith, azimuth = np.radians(field_of_view / 2) * distance[circle], np.arctan2(north[circle], east[circle])
+    directions = np.column_stack([np.sin(zenith) * np.cos(azimuth), np.sin(zenith) * np.sin(azimuth), np.cos(zenith)])
+    return RayView(np.tile(np.asarray(position, dtype=float), (len(directions), 1)), directions), circle

@@ -1,0 +1,153 @@
+"""Measured images and the views they were taken from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.scene.grid import resample
+from cloudtomo_cl.scene.sensors import RayView, View
+
+# Share of a larger pixel that must not be bad: half, up to rounding.
+_LEAST_VALID = 0.5 - 1e-9
+
+
+class _Renders(Protocol):
+    """What makes images of a rendering: a `RadianceOperator`, which lies in a higher room."""
+
+    views: tuple[View, ...]
+
+    def images(self, values: np.ndarray, /) -> list[np.ndarray]: ...
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Images of one cloud.
+
+    Attributes
+    ----------
+    views : one per image
+    images : radiance, W m^-2 sr^-1, each of shape (rows, columns) of its view; NaN in bad pixels, which nothing uses
+    standard_errors : of the radiances, same unit and shapes; zero where unknown; of no meaning in bad pixels
+    calibration_errors : standard errors of the views' gains, which are 1, for instance 0.02; none: all exact.
+        They are no part of `standard_errors`, for they are common to all pixels of a view
+    """
+
+    views: tuple[View, ...]
+    images: tuple[np.ndarray, ...]
+    standard_errors: tuple[np.ndarray, ...]
+    calibration_errors: tuple[float, ...] = ()
+
+    @classmethod
+    def rendered(cls, operator: _Renders, rendering: Any) -> Measurements:
+        """All pixels of a `Rendering` by a `RadianceOperator` as images."""
+        images, errors = (tuple(operator.images(values)) for values in (rendering.mean, rendering.standard_error))
+        return cls(operator.views, images, errors)
+
+    def __post_init__(self) -> None:
+        if not self.views:
+            raise DataError("measurements: there is no view: at least one image is needed")
+        for name, arrays in (("images", self.images), ("standard_errors", self.standard_errors)):
+            if len(arrays) != len(self.views):
+                raise DataError(f"measurements: {len(arrays)} {name} for {len(self.views)} views")
+            for index, (view, array) in enumerate(zip(self.views, arrays)):
+                if array.shape != view.pixels[::-1]:
+                    raise DataError(
+                        f"measurements: {name} of view {index} have shape {array.shape}, "
+                        f"the view has {view.pixels[1]} rows and {view.pixels[0]} columns"
+                    )
+                bad = np.isnan(self.images[index])
+                wrong = ~np.isfinite(array) & ~bad
+                if wrong.any():
+                    row, column = np.argwhere(wrong)[0]
+                    where = f"view {index} are not finite at row {row}, column {column}"
+                    hint = "" if name == "standard_errors" else ": set the radiance of bad pixels to NaN"
+                    raise DataError(f"measurements: {name} of {where}{hint}")
+                if bad.all():
+                    raise DataError(f"measurements: all pixels of view {index} are bad: leave the view out")
+        if not self.calibration_errors:
+            object.__setattr__(self, "calibration_errors", (0.0,) * len(self.views))
+        if len(self.calibration_errors) != len(self.views):
+            raise DataError(f"measurements: {len(self.calibration_errors)} calibration_errors, {len(self.views)} views")
+        for index, value in enumerate(self.calibration_errors):
+            if not 0 <= value < 1:
+                raise DataError(f"measurements: calibration_errors of view {index} is {value}: at least 0, below 1")
+        for index, error in enumerate(self.standard_errors):
+            if (error < 0).any():
+                raise DataError(f"measurements: standard_errors of view {index} are negative: they must be at least 0")
+
+    def __repr__(self) -> str:
+        sizes = sorted({view.pixels for view in self.views})
+        pixels = ", ".join(f"{width} x {height}" for width, height in sizes[:3]) + (", ..." if len(sizes) > 3 else "")
+        least = min((float(np.nanmin(image)) for image in self.images), default=np.nan)
+        most = max((float(np.nanmax(image)) for image in self.images), default=np.nan)
+        radiances = f"radiance {least:.4g} to {most:.4g} W m^-2 sr^-1"
+        bad = self.bad_pixels
+        return f"Measurements({len(self.views)} views of {pixels} pixels, {radiances}{f', {bad} bad' if bad else ''})"
+
+    @property
+    def valid(self) -> tuple[np.ndarray, ...]:
+        """Which pixels are not bad: bool, the images' shapes."""
+        return tuple(~np.isnan(image) for image in self.images)
+
+    @property
+    def bad_pixels(self) -> int:
+        """How many pixels of all images are bad."""
+        return sum(int(np.isnan(image).sum()) for image in self.images)
+
+    def resampled(self, pixels: Sequence[tuple[int, int]]) -> Measurements:
+        """The same images averaged over larger pixels, (width, height) for each view.
+
+        A larger pixel is the mean of what is not bad in it, and bad if that is less than half of its area.
+
+        Raises
+        ------
+        DataError : other pixels for a view that is a list of rays
+        """
+        views: list[View] = []
+        images, errors = [], []
+        for view, image, error, (width, height) in zip(self.views, self.images, self.standard_errors, pixels):
+            if isinstance(view, RayView):
+                if (width, height) != view.pixels:
+                    raise DataError("a view that is a list of rays has no larger pixels: keep those it has")
+                views.append(view)
+            else:
+                views.append(view.with_pixels((width, height)))
+            valid = ~np.isnan(image)
+            covered = 1.0 if valid.all() else resample(valid.astype(float), (height, width))
+            whole = np.where(covered >= _LEAST_VALID, covered, np.nan)
+            images.append(resample(np.where(valid, image, 0.0), (height, width)) / whole)
+            # Independent pixels: variances add with the squares of their shares.
+            share = width * height / image.size
+            variance = resample(np.where(valid, error**2, 0.0), (height, width)) / whole**2
+            errors.append(np.sqrt(variance * min(share, 1.0)))
+        return Measurements(tuple(views), tuple(images), tuple(errors), self.calibration_errors)
+
+    def at_share(self, share: float) -> Measurements:
+        """The images with `share` of their width and height, but at least 8 pixels or all there are.
+
+        Views that are lists of rays keep theirs.
+        """
+        if share == 1:
+            return self
+        return self.resampled(
+            [
+                view.pixels
+                if isinstance(view, RayView)
+                else tuple(min(count, max(8, round(share * count))) for count in view.pixels)  # type: ignore[misc]
+                for view in self.views
+            ]
+        )
+
+    def differences(self, modelled: Measurements) -> list[np.ndarray]:
+        """Modelled minus measured radiance in standard errors of both together; NaN where unknown, or bad."""
+        differences = []
+        for index, image in enumerate(self.images):
+            error = np.hypot(self.standard_errors[index], modelled.standard_errors[index])
+            difference = modelled.images[index] - image
+            differences.append(np.divide(difference, error, out=np.full(image.shape, np.nan), where=error > 0))
+        return differences

@@ -1,0 +1,93 @@
+"""Noise of cameras: photons, reading, digits, calibration."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import ConfigDict, Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.scene import NotNegative
+
+# How much more than the brightest pixel fills its well, if nothing is said: an exposure to 80 %.
+_HEADROOM = 1.25
+_MOST_ELECTRONS = 1e12
+
+
+@dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
+class Noise:
+    """What a camera adds to the radiance that its pixels receive.
+
+    A pixel's radiance becomes electrons, in proportion, times its view's gain; their number is a Poisson variate;
+    reading adds normal noise; the sum is rounded to a digital number, and turned back into radiance as if the gain
+    were 1. Pixels with more electrons than the full well are saturated: bad, NaN. Negative numbers stay, as after
+    the subtraction of a camera's offset.
+
+    Attributes
+    ----------
+    full_well : electrons of a pixel at `full_radiance`, whose noise is their square root; give this or
+        `signal_to_noise`
+    signal_to_noise : that of the photon noise at `full_radiance`, the square root of `full_well`
+    full_radiance : W m^-2 sr^-1, at which a pixel is full; by default 1.25 times that of the brightest pixel
+    read_noise : electrons, root mean square
+    bits : of the digital numbers, from 0 to the full well; by default they are not rounded
+    calibration_error : standard deviation of the views' gains, which are 1 on average
+    """
+
+    full_well: Annotated[float, Field(ge=1, le=_MOST_ELECTRONS)] | None = None
+    signal_to_noise: Annotated[float, Field(ge=1, le=_MOST_ELECTRONS**0.5)] | None = None
+    full_radiance: Annotated[float, Field(ge=1e-15, le=1e15)] | None = None
+    read_noise: NotNegative = 0.0
+    bits: Annotated[int, Field(ge=1, le=32)] | None = None
+    calibration_error: Annotated[float, Field(ge=0, le=0.3)] = 0.0
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Noise:
+        if (self.full_well is None) == (self.signal_to_noise is None):
+            raise ValueError("give one of full_well and signal_to_noise")
+        return self
+
+    @property
+    def electrons(self) -> float:
+        """The full well."""
+        return self.full_well if self.full_well is not None else (self.signal_to_noise or 1.0) ** 2
+
+    def added_to(self, measurements: Measurements, seed: int = 0) -> Measurements:
+        """The same images as such a camera measures them.
+
+        The standard errors are those of the images as they are, and of the noise at their radiance, together; the
+        calibration error, which all pixels of a view share, goes to `calibration_errors`. Bad pixels stay bad.
+
+        seed : of the noise; equal seeds give equal noise
+
+        Raises
+        ------
+        DataError : no pixel shows any light, and no full_radiance is given; an image is saturated as a whole
+        """
+        full = self.full_radiance
+        if full is None:
+            full = _HEADROOM * max(float(np.nanmax(image)) for image in measurements.images)
+            if not full > 0:
+                raise DataError("noise: no pixel shows any light: give noise.full_radiance (W m^-2 sr^-1)")
+        unit = full / self.electrons  # radiance of one electron
+        step = 0.0 if self.bits is None else self.electrons / 2**self.bits
+        images, errors = [], []
+        for index, (image, error) in enumerate(zip(measurements.images, measurements.standard_errors)):
+            random = np.random.default_rng([seed, index])
+            gain = 1 + self.calibration_error * random.standard_normal()
+            light = np.maximum(np.nan_to_num(image), 0.0) / unit
+            # What lies far beyond the well is saturated, however many electrons there were.
+            read = random.poisson(np.minimum(max(gain, 0.0) * light, 2 * _MOST_ELECTRONS)).astype(float)
+            read += self.read_noise * random.standard_normal(image.shape)
+            saturated = read > self.electrons
+            if saturated.all():
+                raise DataError(f"noise: view {index} is saturated as a whole: raise noise.full_radiance ({full:g})")
+            if step:
+                read = step * np.round(read / step)
+            images.append(np.where(np.isnan(image) | saturated, np.nan, read * unit))
+            errors.append(np.sqrt(error**2 + unit**2 * (light + self.read_noise**2 + step**2 / 12)))
+        gains = tuple(float(np.hypot(before, self.calibration_error)) for before in measurements.calibration_errors)
+        return Measurements(measurements.views, tuple(images), tuple(errors), gains)

@@ -1,0 +1,46 @@
+"""Lists of pixels: an array (pixels, 2) of (view, row * width + column)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cloudtomo_cl.scene.sensors import RayView, View
+
+if TYPE_CHECKING:
+    import scipy.sparse
+
+
+def all_pixels(views: Sequence[View]) -> np.ndarray:
+    """Every pixel of every view: an array (pixels, 2) of (view, row * width + column)."""
+    counts = [view.pixels[0] * view.pixels[1] for view in views]
+    return np.column_stack(
+        [np.repeat(np.arange(len(views)), counts), np.concatenate([np.arange(count) for count in counts])]
+    ).astype(np.uint32)
+
+
+def neighbours(views: Sequence[View], pixels: np.ndarray) -> scipy.sparse.csr_matrix:
+    """The mean over a pixel and those of the listed pixels that touch it in its image.
+
+    Returns a matrix (pixels, pixels), float32; rays of a `RayView` have no neighbours.
+    """
+    import scipy.sparse
+
+    rows, columns = [], []
+    for index, view in enumerate(views):
+        chosen = np.flatnonzero(pixels[:, 0] == index)
+        width, height = view.pixels
+        place = np.full((height + 2, width + 2), -1)
+        at = np.divmod(pixels[chosen, 1].astype(int), width)
+        place[at[0] + 1, at[1] + 1] = chosen
+        reach = (0,) if isinstance(view, RayView) else (-1, 0, 1)
+        for down in reach:
+            for right in reach:
+                other = place[at[0] + 1 + down, at[1] + 1 + right]
+                rows.append(chosen[other >= 0])
+                columns.append(other[other >= 0])
+    row, column = np.concatenate(rows), np.concatenate(columns)
+    share = (1 / np.bincount(row, minlength=len(pixels)))[row].astype(np.float32)
+    return scipy.sparse.csr_matrix((share, (row, column)), (len(pixels), len(pixels)))

@@ -1,0 +1,58 @@
+"""What files keep of the settings that they were made with, in the types of JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from cloudtomo_cl.errors import SettingsError
+from cloudtomo_cl.files.extinction import read_effective_radius, read_extinction
+from cloudtomo_cl.files.measurements import read_settings
+from cloudtomo_cl.scene.noise import Noise
+from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.settings.messages import error_text, lines_of
+from cloudtomo_cl.settings.overrides import with_overrides
+
+
+def kept_scene(
+    path: Path, overrides: Sequence[str]
+) -> tuple[Scene, np.ndarray, np.ndarray | None, dict[str, Any]]:
+    """Scene, extinction, effective radius and settings that a file of images or fluxes keeps."""
+    stored = read_settings(path)
+    if not isinstance(stored.get("scene"), dict):
+        raise SettingsError(f"{path}: keeps no scene to render again: give a scene file, or images of cloudtomo render")
+    described = scene_of_tables(path, with_overrides(stored["scene"], overrides))
+    _, extinction = read_extinction(path)
+    return described, extinction, read_effective_radius(path), {"cloud_file": path.name, **stored}
+
+
+def scene_of_tables(path: Path, tables: dict[str, Any]) -> Scene:
+    """The scene of what `stored_scene` made, or of tables in its place. SettingsError if it is none."""
+    try:
+        return TypeAdapter(Scene).validate_python(tables)
+    except ValidationError as error:
+        lines = lines_of(error, tables, TypeAdapter(Scene).json_schema())
+        raise SettingsError(error_text(str(path), lines)) from None
+
+
+def noise_of_table(path: Path, table: Any) -> Noise:
+    """The noise that a file of images keeps, as `stored_noise` made it. SettingsError if it is none."""
+    try:
+        return TypeAdapter(Noise).validate_python(table)
+    except ValidationError as error:
+        lines = lines_of(error, {"noise": table}, TypeAdapter(Noise).json_schema())
+        raise SettingsError(error_text(str(path), [f"noise: {line}" for line in lines])) from None
+
+
+def stored_noise(noise: Noise) -> dict[str, Any]:
+    """Noise in the types of JSON: what a measurements file keeps of it."""
+    return TypeAdapter(Noise).dump_python(noise, mode="json")
+
+
+def stored_scene(scene: Scene) -> dict[str, Any]:
+    """A scene in the types of JSON: what a measurements file keeps of it."""
+    return TypeAdapter(Scene).dump_python(scene, mode="json")

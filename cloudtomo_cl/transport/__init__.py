@@ -1,0 +1,1 @@
+"""Radiative transfer on a device: radiances, their derivatives, fluxes, the energy budget."""

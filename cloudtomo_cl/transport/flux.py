@@ -1,0 +1,186 @@
+"""Fluxes through the top and the bottom of a domain, and absorption, by photons from the sun."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.opencl.device import Device, Pace, choose_device, device_errors
+from cloudtomo_cl.opencl.fixed_point import require_sums
+from cloudtomo_cl.opencl.layout import FLUXES, MOST_SAMPLES, WEIGHT_UNIT, sun_view_struct
+from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.transport.audit import Account, Audit
+from cloudtomo_cl.transport.medium import Medium
+
+# Standard errors are from the spread of so many independent parts of a run.
+_BATCHES = 32
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A Monte Carlo estimate and its standard error: two arrays, or two numbers."""
+
+    value: Any
+    standard_error: Any
+
+
+@dataclass(frozen=True)
+class Fluxes:
+    """Fluxes of the columns of a grid, W m^-2, arrays (nx, ny).
+
+    Top and bottom are those of the grid; with air outside of it, those of the atmosphere.
+
+    Attributes
+    ----------
+    reflected : upward through the top
+    direct : downward through the bottom, not scattered
+    diffuse : downward through the bottom, scattered; light that a surface sent up and the cloud
+        sent down again counts every time
+    absorbed : in the column, by droplets and molecules
+    incident : downward through the top, mu0 times the irradiance; a number
+    photons : launched
+    audit : what became of them
+    """
+
+    reflected: Estimate
+    direct: Estimate
+    diffuse: Estimate
+    absorbed: Estimate
+    incident: float
+    photons: int
+    seed: int
+    audit: Audit
+    _batches: np.ndarray
+
+    def __repr__(self) -> str:
+        names = ("reflected", "transmitted", "absorbed")
+        means = ", ".join(f"{name} {self.domain_mean(name).value:.4g}" for name in names)
+        return f"Fluxes({means} of {self.incident:.4g} W m^-2, {self.photons:.3g} photons, seed {self.seed})"
+
+    @property
+    def transmitted(self) -> Estimate:
+        """Direct and diffuse."""
+        return self._of(("DIRECT", "DIFFUSE"), mean=False)
+
+    def domain_mean(self, name: str) -> Estimate:
+        """The mean over all columns, two floats, of "reflected", "direct", "diffuse", "transmitted" or "absorbed"."""
+        return self._of(("DIRECT", "DIFFUSE") if name == "transmitted" else (name.upper(),), mean=True)
+
+    def _of(self, names: tuple[str, ...], mean: bool) -> Estimate:
+        batches = self._batches[:, [FLUXES.index(name) for name in names]].sum(axis=1)
+        return _estimate(batches.mean(axis=(1, 2)) if mean else batches)
+
+
+def _estimate(batches: np.ndarray) -> Estimate:
+    """The mean of independent batches, along the first axis."""
+    error = batches.std(axis=0, ddof=1) / np.sqrt(len(batches))
+    mean = batches.mean(axis=0)
+    return Estimate(mean, error) if mean.ndim else Estimate(float(mean), float(error))
+
+
+class FluxOperator:
+    """Follows photons from the sun; the walk is the one of the radiances.
+
+    Parameters
+    ----------
+    scene : grid, optics, sun, air, surface, boundary
+    device : where to compute; by default `choose_device()`
+    effective_radius : as in `RadianceOperator`
+
+    Raises
+    ------
+    DataError : open sides over a surface that reflects, or beside air: what arrives from outside of
+        the domain would need an endless plane of photons
+    """
+
+    @device_errors("preparing the fluxes")
+    def __init__(
+        self, scene: Scene, device: Device | None = None, *, effective_radius: np.ndarray | None = None
+    ) -> None:
+        outside = scene.air is not None and scene.air.is_outside
+        if scene.boundary.horizontal == "open" and (scene.surface.albedo > 0 or outside):
+            raise DataError(
+                "fluxes with open sides over a reflecting surface, or in air that goes on beside the grid, would need "
+                'endlessly many photons: choose boundary.horizontal = "periodic", or a black surface and no such air'
+            )
+        self.scene = scene
+        self.device = device or choose_device()
+        self._medium = Medium(scene, self.device, effective_radius)
+        sun_view, self._area = sun_view_struct(scene)
+        self._pixels = int(sun_view["width"]) * int(sun_view["height"])
+        self._sun_view = self.device.constant(sun_view)
+        self._trace_photons = self.device.kernel("flux", "trace_photons", self._medium.features)
+        self._pace = Pace(self.device)
+
+    @device_errors("the fluxes")
+    def compute(
+        self,
+        extinction: Any,
+        photons: int = 1_000_000,
+        seed: int = 0,
+        progress: Callable[[int], None] | None = None,
+    ) -> Fluxes:
+        """Fluxes of every column.
+
+        Parameters
+        ----------
+        extinction : of the droplets, km^-1, shape of the grid; NumPy, or an array on the device
+        photons : at least; rounded up to a multiple of what 32 independent parts need
+        seed : determines every photon
+        progress : called with the number of photons done so far
+
+        Raises
+        ------
+        DataError : extinction of another shape, negative or not finite; no photons, or too many
+        AuditError : energy was lost or gained (see `Audit.check`)
+        TransportError : a column's sum has overflowed
+        """
+        import pyopencl.array
+
+        if photons < 1:
+            raise DataError(f"photons is {photons}: it must be at least 1")
+        field = self._medium.field(extinction, skips_clear=True)
+        samples = -(-photons // (_BATCHES * self._pixels))  # per pixel of the sun and batch
+        if _BATCHES * samples > MOST_SAMPLES:
+            most = MOST_SAMPLES // _BATCHES * _BATCHES * self._pixels
+            raise DataError(f"photons is {photons:.6g}: this scene has at most {most:.6g}")
+        shape = (len(FLUXES), *self.scene.grid.shape[:2])
+        account = Account(self.device)
+        batches = np.empty((_BATCHES, *shape))
+        for batch in range(_BATCHES):
+            columns = pyopencl.array.zeros(self.device.queue, shape, np.int64)
+            done = 0
+            while done < samples:
+                number = int(np.clip(self._pace.work_items // self._pixels, 1, samples - done))
+                self._pace.launch(
+                    self._trace_photons,
+                    number * self._pixels,
+                    field.struct,
+                    self._sun_view,
+                    *field.arguments,
+                    np.uint32(self._pixels),
+                    np.uint32(batch * samples + done),
+                    np.uint32(number * self._pixels),
+                    np.uint32(seed),
+                    columns.data,
+                    account.data,
+                )
+                done += number
+                if progress:
+                    progress((batch * samples + done) * self._pixels)
+            weights = columns.get()
+            require_sums(weights, "a flux", "kind and column")
+            batches[batch] = weights / WEIGHT_UNIT
+        launched = _BATCHES * samples * self._pixels
+        audit = account.audit()
+        audit.check(launched)
+        # A photon stands for its share of the sunlight through the plane that the sun sees.
+        column_area = self.scene.grid.spacing[0] * self.scene.grid.spacing[1]
+        incident = self.scene.sun.irradiance * float(self.scene.sun.direction[2])
+        batches *= incident * self._area / column_area / (samples * self._pixels)
+        named = {name.lower(): _estimate(batches[:, index]) for index, name in enumerate(FLUXES)}
+        return Fluxes(**named, incident=incident, photons=launched, seed=seed, audit=audit, _batches=batches)

@@ -1,0 +1,358 @@
+"""The operator from extinction to radiances, and its gradient."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from cloudtomo_cl.errors import DataError, TransportError
+from cloudtomo_cl.memory import require_rendering
+from cloudtomo_cl.opencl.device import Device, Pace, choose_device, device_errors
+from cloudtomo_cl.opencl.fixed_point import require_sums
+from cloudtomo_cl.opencl.layout import MOST_SAMPLES, STRUCTS, ray_array, view_structs
+from cloudtomo_cl.scene.pixels import all_pixels
+from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.scene.sensors import View
+from cloudtomo_cl.transport.audit import Account, Audit, check_replays
+from cloudtomo_cl.transport.medium import Field, Medium
+
+Estimator = Literal["side-flights", "plain"]
+
+# Units of the fixed-point gradient per sr^-1 km deposited under the largest adjoint: rounding is
+# far below the deposits that matter (about 1e-6), and a voxel's sum of them over all paths of a
+# gradient may reach 2^31 before it overflows.
+FIXED_POINT_SCALE = 2.0**32
+# What a work item does in a launch is bounded: watchdogs end launches that are too long, and some
+# drivers loops (Mesa's llvmpipe all loops of a work item after 65,535 rounds, and says nothing). Paths
+# that a pixel sums up, and that it walks, of some hundred rounds each.
+_LONGEST_SUM = 1 << 15
+_PATHS_OF_ITEM = 32
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """Radiances of the operator's pixels.
+
+    Attributes
+    ----------
+    mean : W m^-2 sr^-1, shape (pixels,)
+    standard_error : of the mean, same unit and shape
+    halves : means over even and over odd samples, shape (pixels, 2)
+    samples : paths per pixel; an array (pixels,) if they differ (`adaptive.render_to_error`)
+    seed, iteration : what the paths were drawn with
+    audit : what became of the paths
+    """
+
+    mean: np.ndarray
+    standard_error: np.ndarray
+    halves: np.ndarray
+    samples: Any
+    seed: int
+    iteration: int
+    audit: Audit
+    _medium: Field = field(repr=False)
+    _launches: list[tuple[int, Any]] = field(repr=False, default_factory=list)
+
+    def __repr__(self) -> str:
+        samples = np.mean(self.samples)
+        radiance = f"mean {self.mean.mean():.4g} W m^-2 sr^-1"
+        return f"Rendering({self.mean.size} pixels, {radiance}, {samples:.6g} paths per pixel, seed {self.seed})"
+
+
+@dataclass(frozen=True)
+class KeptLaunch:
+    """Paths of a rendering that are walked again together."""
+
+    paths: int
+    _samples: int
+    _pace: Pace
+    _arguments: tuple[Any, ...]
+
+    def run(self, kernel: Any, *arguments: Any) -> None:
+        """Runs a kernel on them; its own arguments come after those of all walks."""
+        self._pace.launch(kernel, self.paths, *self._arguments, *arguments)
+
+    def run_pixels(self, kernel: Any, pixels: int, *arguments: Any) -> None:
+        """Runs a kernel of one work item a pixel, which walks paths of its pixel (after `begin`, `end`)."""
+        for part in parts(self._samples, _PATHS_OF_ITEM):
+            self._pace.device.launch(kernel, pixels, *self._arguments, *part, *arguments)
+            self._pace.device.queue.finish()
+
+
+class RadianceOperator:
+    """Renders a scene's views, and differentiates them, by backward Monte Carlo.
+
+    Parameters
+    ----------
+    scene : grid, optics, sun, air, surface, boundary
+    views : the sensors
+    device : where to compute; by default `choose_device()`
+    pixels : which pixels, an integer array (pixels, 2) of (view, row * width + column); all by
+        default
+    estimator : "side-flights" (less noise under a forward peak; the mean is the same), or
+        "plain", one local estimate at every interaction; by default side flights if the
+        asymmetry of the droplets is at least 0.5
+
+    effective_radius : of the droplets, micrometres, shape of the grid, for a phase table of
+        several radii; by default `scene.cloud.effective_radius` everywhere
+    truncation : cuts single local estimates to so many sr^-1. That removes rare bright points and
+        makes the images too dark; `Rendering.audit.truncated` says by how much. By default nothing
+
+    mask : bool, shape of the grid, where there may be droplets. Elsewhere every extinction must be 0
+        and gradients mean nothing, for walks skip what is clear; by default everywhere
+
+    Source: the supplement's Eqs. 1-19; docs/estimators.md.
+
+    Raises
+    ------
+    DataError : no view, or an effective radius that does not fit
+    """
+
+    def __repr__(self) -> str:
+        views = f"{len(self.views)} views, {len(self.pixels)} pixels"
+        return f"RadianceOperator({views}, {self.scene.grid.text}, {self.estimator}, on {self.device.name})"
+
+    @device_errors("preparing a rendering")
+    def __init__(
+        self,
+        scene: Scene,
+        views: Sequence[View],
+        device: Device | None = None,
+        pixels: np.ndarray | None = None,
+        estimator: Estimator | None = None,
+        *,
+        effective_radius: np.ndarray | None = None,
+        truncation: float | None = None,
+        mask: np.ndarray | None = None,
+    ) -> None:
+        import pyopencl as cl
+        import pyopencl.array
+
+        if not views:
+            raise DataError("no view: a scene needs at least one to be rendered")
+        if truncation is not None and not truncation > 0:
+            raise DataError(f"truncation is {truncation}: it must be above 0 sr^-1")
+        self.scene = scene
+        self.views = tuple(views)
+        self.device = device or choose_device()
+        self.estimator: Estimator = estimator or (
+            "side-flights" if scene.cloud.phase_function.g >= 0.5 else "plain"
+        )
+        if pixels is None:
+            require_rendering(self.device, scene.grid.shape, self.views)
+        self.pixels = all_pixels(self.views) if pixels is None else np.ascontiguousarray(pixels, np.uint32)
+        self._cl = cl
+        self._array = pyopencl.array
+        self._medium = Medium(
+            scene, self.device, effective_radius, self.estimator == "side-flights", truncation or np.inf, mask
+        )
+        # Views from afar look through all of the atmosphere.
+        self.mask = mask
+        self.features = self._medium.features
+        self._views = self.device.constant(view_structs(self.views, scene.grid, scene.top))
+        self._rays = self.device.constant(ray_array(self.views, scene))
+        self._pixels = self.device.constant(self.pixels)
+        self._render_paths = self.device.kernel("render", "render_paths", self._medium.features)
+        self._sum_paths = self.device.kernel("render", "sum_paths", self._medium.features)
+        self._replay_paths = self.device.kernel("gradient", "replay_paths", self._medium.features)
+        self._pace = Pace(self.device)
+
+    @device_errors("rendering")
+    def render(
+        self,
+        extinction: Any,
+        samples: int,
+        seed: int = 0,
+        iteration: int = 0,
+        keep_paths: bool = False,
+        progress: Callable[[int], None] | None = None,
+        first_sample: int = 0,
+    ) -> Rendering:
+        """Radiance of every pixel.
+
+        Parameters
+        ----------
+        extinction : of the droplets, km^-1, shape of the grid; NumPy, an array on the device, or a `field`
+        samples : paths per pixel, even
+        seed, iteration : together with view, pixel and sample these determine every path
+        keep_paths : keep what `gradient` needs (4 bytes per path on the device)
+        progress : called with the number of samples done so far
+        first_sample : number of the first path of every pixel, even
+
+        Raises
+        ------
+        DataError : extinction of another shape, negative or not finite; samples odd, or beyond 2^32
+        TransportError : a radiance is not finite
+        AuditError : energy was lost or gained (see `Audit.check`)
+        """
+        if samples < 2 or samples % 2:
+            raise DataError(f"samples is {samples}: it must be even and at least 2 (halves are compared)")
+        if first_sample < 0 or first_sample % 2:
+            raise DataError(f"first_sample is {first_sample}: it must be even and at least 0")
+        if first_sample + samples > MOST_SAMPLES:
+            raise DataError(f"{first_sample + samples} paths per pixel are more than the {MOST_SAMPLES} that there are")
+        queue, count = self.device.queue, len(self.pixels)
+        medium = self._medium.field(extinction, skips_clear=not keep_paths)
+        size = count * STRUCTS["PixelSums"].itemsize
+        sums = self._cl.Buffer(self.device.context, self._cl.mem_flags.READ_WRITE, size)
+        self._cl.enqueue_fill_buffer(queue, sums, np.zeros(1, np.uint8), 0, sums.size)
+        account = Account(self.device)
+        launches: list[tuple[int, Any]] = []
+        done = 0
+        while done < samples:
+            first, number = first_sample + done, int(np.clip(self._pace.work_items // count, 1, samples - done))
+            paths = self._array.empty(queue, number * count, np.float32)
+            self._pace.launch(
+                self._render_paths,
+                number * count,
+                *self._arguments(medium, first, number * count, seed, iteration),
+                paths.data,
+                account.data,
+            )
+            for part in parts(number, _LONGEST_SUM):
+                self.device.launch(self._sum_paths, count, paths.data, np.uint32(count), np.uint32(first), *part, sums)
+            if keep_paths:
+                launches.append((first, paths))
+            done += number
+            if progress:
+                progress(done)
+        return self._rendering(sums, samples, seed, iteration, account, medium, launches)
+
+    @device_errors("putting the extinction on the device")
+    def field(self, extinction: Any) -> Field:
+        """An extinction for several renders that keep no paths: looked through and put on the device once.
+
+        Raises DataError as `render`.
+        """
+        return self._medium.field(extinction, skips_clear=True)
+
+    def of_pixels(self, pixels: np.ndarray) -> RadianceOperator:
+        """The same operator for other pixels; see the class."""
+        other = copy.copy(self)
+        other.pixels = np.ascontiguousarray(pixels, np.uint32)
+        other._pixels = self.device.constant(other.pixels)
+        return other
+
+    def _arguments(self, medium: Field, first: int, paths: int, seed: int, iteration: int) -> tuple[Any, ...]:
+        return (
+            medium.struct,
+            self._views,
+            self._rays,
+            self._pixels,
+            *medium.arguments,
+            np.uint32(len(self.pixels)),
+            np.uint32(first),
+            np.uint32(paths),
+            np.uint32(seed),
+            np.uint32(iteration),
+        )
+
+    def _rendering(
+        self,
+        sums: Any,
+        samples: int,
+        seed: int,
+        iteration: int,
+        account: Account,
+        medium: Field,
+        launches: list[tuple[int, Any]],
+    ) -> Rendering:
+        host = np.empty(len(self.pixels), STRUCTS["PixelSums"])
+        self._cl.enqueue_copy(self.device.queue, host, sums)
+        irradiance = self.scene.sun.irradiance
+        halves = irradiance * (host["half_sum"].astype(float) + host["half_low"]) / (samples // 2)
+        mean = halves.mean(axis=1)
+        square = irradiance**2 * (host["square_sum"].astype(float) + host["square_low"]) / samples
+        standard_error = np.sqrt(np.maximum(square - mean**2, 0.0) / (samples - 1))
+        wrong = ~np.isfinite(standard_error)
+        if wrong.any():
+            view, pixel = self.pixels[np.argmax(wrong)]
+            raise TransportError(
+                f"radiance is not finite in view {view}, pixel {pixel} (seed {seed}, iteration {iteration})"
+            )
+        audit = account.audit(float(mean.sum()) / irradiance * samples)
+        audit.check(samples * len(self.pixels))
+        return Rendering(mean, standard_error, halves, samples, seed, iteration, audit, medium, launches)
+
+    @device_errors("the gradient")
+    def gradient(self, rendering: Rendering, adjoint: np.ndarray) -> Any:
+        """The gradient of a cost with respect to extinction, by replay of a rendering's paths.
+
+        Parameters
+        ----------
+        rendering : made by this operator with keep_paths
+        adjoint : derivative of the cost with respect to `rendering.halves`, shape (pixels, 2).
+            For an unbiased gradient the entry of one half must not depend on that half's own
+            paths (see `objective.crossed_halves`).
+
+        Returns
+        -------
+        an array on the device, float32, shape of the grid, cost per km^-1
+
+        Raises
+        ------
+        DataError : the rendering did not keep its paths, or adjoint has another shape
+        AuditError : paths bring other radiances than before
+        TransportError : a voxel's sum has overflowed
+        """
+        if not rendering._launches:
+            raise DataError("this rendering kept no paths: render with keep_paths=True")
+        if adjoint.shape != (len(self.pixels), 2):
+            raise DataError(f"adjoint has shape {adjoint.shape}, not ({len(self.pixels)}, 2)")
+        queue = self.device.queue
+        total = self._array.zeros(queue, self.scene.grid.shape, np.int64)
+        largest = float(np.abs(adjoint).max())
+        if not np.isfinite(largest):
+            raise DataError("adjoint is not finite")
+        if largest > 0:
+            factors = self.device.constant((adjoint * (FIXED_POINT_SCALE / largest)).astype(np.float32))
+            for launch in self.kept_launches(rendering):
+                launch.run(self._replay_paths, factors, total.data)
+            require_sums(total.get(), "the gradient", "voxel")
+        scale = largest / FIXED_POINT_SCALE * self.scene.sun.irradiance / (rendering.samples // 2)
+        return total.astype(np.float32) * np.float32(scale)
+
+    def kept_launches(self, rendering: Rendering) -> Iterator[KeptLaunch]:
+        """The launches of a rendering that kept its paths, for kernels to walk them again.
+
+        Raises
+        ------
+        DataError : the rendering did not keep its paths
+        AuditError : after the last of them, if paths have brought other radiances than before
+        """
+        if not rendering._launches:
+            raise DataError("this rendering kept no paths: render with keep_paths=True")
+        astray = self._array.zeros(self.device.queue, 1, np.uint32)
+        for first, paths in rendering._launches:
+            given = self._arguments(rendering._medium, first, paths.size, rendering.seed, rendering.iteration)
+            yield KeptLaunch(paths.size, paths.size // len(self.pixels), self._pace, (*given, paths.data, astray.data))
+        check_replays(int(astray.get()[0]), rendering.samples * len(self.pixels))
+
+    def images(self, values: np.ndarray) -> list[np.ndarray]:
+        """Values per pixel as one image (rows, columns) per view; NaN where no pixel is."""
+        images = [np.full(view.pixels[0] * view.pixels[1], np.nan) for view in self.views]
+        for index, image in enumerate(images):
+            chosen = self.pixels[:, 0] == index
+            image[self.pixels[chosen, 1]] = values[chosen]
+        return [image.reshape(view.pixels[1], view.pixels[0]) for image, view in zip(images, self.views)]
+
+
+def pooled(first: Rendering, second: Rendering) -> Rendering:
+    """Two renderings of the same pixels with different paths."""
+    share = first.samples / (first.samples + second.samples)
+    return replace(
+        first,
+        mean=share * first.mean + (1 - share) * second.mean,
+        halves=share * first.halves + (1 - share) * second.halves,
+        standard_error=np.hypot(share * first.standard_error, (1 - share) * second.standard_error),
+        samples=first.samples + second.samples,
+    )
+
+
+def parts(count: int, most: int) -> list[tuple[np.uint32, np.uint32]]:
+    """The numbers from 0 to below `count` in parts (begin, end) of at most `most`."""
+    return [(np.uint32(begin), np.uint32(min(begin + most, count))) for begin in range(0, count, most)]
