@@ -17,26 +17,22 @@ from typing import Any
 TOP = Path(__file__).resolve().parents[1]
 STUB = TOP / "cloudtomo_cl" / "__init__.pyi"
 API = "reference/api"
-# Where the public names of modules that lie in no sub-package are shown.
-TOP_PAGE = "cloudtomo_cl"
 _EQUATION = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', flags=re.DOTALL)
 
 
 def public_names() -> dict[str, list[str]]:
-    """The public names by the page that shows them: the sub-package that each is imported from."""
+    """The public names by the page that shows them: the sub-package (or module) that each is imported from."""
     pages: dict[str, list[str]] = {}
     for statement in ast.parse(STUB.read_text(encoding="utf-8")).body:
         if isinstance(statement, ast.ImportFrom):
-            module = (statement.module or "").split(".")
-            page = module[0] if len(module) > 1 or (STUB.parent / module[0]).is_dir() else TOP_PAGE
+            page = (statement.module or "").partition(".")[0]
             pages.setdefault(page, []).extend(name.asname or name.name for name in statement.names)
     return {page: sorted(names, key=str.lower) for page, names in sorted(pages.items())}
 
 
 def api_page(page: str, names: list[str]) -> str:
     """The Markdown of one page of the API."""
-    origin = "" if page == TOP_PAGE else f" They are defined in `cloudtomo_cl.{page}`."
-    head = f"# {page}\n\nPublic names of `import cloudtomo_cl as ct`.{origin}\n"
+    head = f"# {page}\n\nPublic names of `import cloudtomo_cl as ct` that are defined in `cloudtomo_cl.{page}`.\n"
     return head + "".join(f"\n::: cloudtomo_cl.{name}\n" for name in names)
 
 
