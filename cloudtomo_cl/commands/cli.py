@@ -104,7 +104,7 @@ run.toml:
   [run]                             # optional
   time_limit = 600.0                # s, counted over all resumes
   checkpoint_interval = 60.0        # s
-optional tables: [[stage]] (automatic otherwise), [prior], [optimizer], [grid]; and those of a
+optional tables: [[stage]] (automatic otherwise), [prior], [solver], [grid]; and those of a
 scene ([sun], [cloud], [air], [surface], [boundary], [[view]]), each in place of the one that
 the images were made with."""
 

@@ -24,6 +24,7 @@ from cloudtomo_cl.commands.validate import validate as validate
 from cloudtomo_cl.errors import DataError, DeviceError, Interrupted, SettingsError
 from cloudtomo_cl.files.netcdf import is_netcdf
 from cloudtomo_cl.files.truth import read_truth
+from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.stages import stages_of
 from cloudtomo_cl.opencl.device import Device, choose_device, list_devices
 from cloudtomo_cl.scene.measurements import Measurements
@@ -34,9 +35,6 @@ from cloudtomo_cl.transport.radiance import RadianceOperator
 if TYPE_CHECKING:
     from cloudtomo_cl.commands.run_folder import RunFolder
 
-# Photons per pixel of the images without cloud that carving compares with. Without air only the
-# horizon makes them noisy.
-_CLEAR_SAMPLES, _CLEAR_SAMPLES_IN_AIR = 16, 256
 _WIDE_TABLE = 160
 # Paths of the images of the recovered cloud: some seconds on a CPU.
 _MODELLED_PATHS, _FEWEST_MODELLED_SAMPLES = 3e6, 16
@@ -81,8 +79,10 @@ def reconstruct(
     from cloudtomo_cl.commands.progress import ReconstructionProgress, duration
     from cloudtomo_cl.commands.run_folder import RunFolder
     from cloudtomo_cl.commands.stopping import StopRequest, exit_status
-    from cloudtomo_cl.inversion.reconstruct import IterationRecord, check_memory, records
+    from cloudtomo_cl.inversion.reconstruct import check_memory
     from cloudtomo_cl.inversion.reconstruct import reconstruct as recover
+    from cloudtomo_cl.inversion.records import IterationRecord
+    from cloudtomo_cl.inversion.run import records
     from cloudtomo_cl.settings.stored import stored_scene
     from cloudtomo_cl.settings.tables import (
         ReconstructSettings,
@@ -113,7 +113,7 @@ def reconstruct(
     truth = None if settings.truth is None else read_truth(settings.truth.file, scene.grid)
     check_views(scene, measurements.views)
     chosen = choose_device(device)
-    stages = stages_of(scene.grid, settings.stage, settings.optimizer)
+    stages = stages_of(scene.grid, settings.stage, settings.solver)
     check_memory(scene, measurements, stages, chosen)
     given_seed, seed = seed, settings.run.seed if seed is None else seed
     console = Console(quiet=quiet)
@@ -125,7 +125,7 @@ def reconstruct(
         if resume:
             console.print(f"{output} has no checkpoint: starting from the beginning", highlight=False, soft_wrap=True)
         console.print("building kernels, carving space ...", highlight=False)
-        mask = _carve(scene, measurements, chosen)
+        mask = carved_mask(scene, measurements, chosen)
         console.print(f"space carving keeps {mask.mean():.1%} of the voxels", highlight=False)
     else:
         mask, before = resumed.mask, records(resumed)
@@ -166,7 +166,7 @@ def reconstruct(
                 measurements,
                 settings.stage,
                 settings.prior,
-                settings.optimizer,
+                settings.solver,
                 mask=mask,
                 device=chosen,
                 seed=seed,
@@ -203,7 +203,7 @@ def reconstruct(
             "seed": seed,
             "device": describe_device(chosen),
             "versions": versions(),
-            "photons": float(last.photons),
+            "photons": float(last.paths),
             "seconds": last.seconds,
             "state": state,
         },
@@ -218,7 +218,7 @@ def reconstruct(
     if stop.signal_number is not None:
         status = exit_status(stop.signal_number)
         raise Interrupted(f"interrupted in {where}; what was reached is in {output}: {again}", status)
-    console.print(f"{last.photons:.3g} photons in {duration(last.seconds)} on {chosen.name}: {state}", soft_wrap=True)
+    console.print(f"{last.paths:.3g} photons in {duration(last.seconds)} on {chosen.name}: {state}", soft_wrap=True)
     if not result.extinction.any():
         console.print("the images leave no cloud: take less noisy ones, or give the prior less weight ([prior])")
         return
@@ -281,17 +281,6 @@ def _write_modelled(
         },
         (scene.grid, extinction, None),
     )
-
-
-def _carve(scene: Scene, measurements: Measurements, device: Device) -> np.ndarray:
-    """The voxels that the images leave room for."""
-    from cloudtomo_cl.inversion.carving import carve
-
-    # Without cloud there is no forward peak to tame, and no roulette is wanted on faint ground.
-    operator = RadianceOperator(scene, measurements.views, device, estimator="plain")
-    samples = _CLEAR_SAMPLES if scene.air is None else _CLEAR_SAMPLES_IN_AIR
-    clear = operator.render(np.zeros(scene.grid.shape, np.float32), samples)
-    return carve(scene.grid, measurements, Measurements.rendered(operator, clear))
 
 
 def _read_measurements(path: Path) -> tuple[Measurements, dict[str, Any]]:

@@ -29,7 +29,7 @@ def report(folder: Path, quiet: bool) -> None:
     run = RunFolder(folder)
     grid, extinction, _ = run.read_reconstruction()
     settings, history = run.read_settings(), run.read_history()
-    missing = {"stage", "seconds", "photons", "cost", "cost_standard_error", "epsilon"} - set(history)
+    missing = {"stage", "seconds", "paths", "cost", "cost_standard_error", "epsilon"} - set(history)
     if missing or not len(history["stage"]):
         lacks = f"has no column {', '.join(sorted(missing))}" if missing else "has no iteration"
         raise DataError(f"{run.history_file}: {lacks}: it is no history of a run")
@@ -86,7 +86,7 @@ def _numbers(
     numbers["voxels"] = " × ".join(map(str, grid.shape))
     numbers["last cost"] = with_error(history["cost"][-1], history["cost_standard_error"][-1])
     numbers["iterations"] = str(len(history["cost"]))
-    numbers["photons"] = f"{history['photons'][-1]:.3g}"
+    numbers["paths"] = f"{history['paths'][-1]:.3g}"
     numbers["time"] = duration(float(history["seconds"][-1]))
     device = settings.get("device")
     if isinstance(device, dict) and "name" in device:

@@ -31,8 +31,8 @@ pixels = [8, 8]
 RUN = """
 [measurements]
 file = "images.nc"
-[optimizer]
-step = 0.2
+[solver]
+damping = 0.2
 [[stage]]
 grid = [6, 6, 6]
 samples = 8
