@@ -85,7 +85,7 @@ def test_voxels_pressed_against_zero_have_small_errors(problem):
     voxels = mask.sum()
     pressed = np.arange(voxels) % 2 == 0
     errors = standard_errors(
-        Jacobian(jacobian), weights, lambda random: deviation * random.standard_normal(PIXELS), lambda residual: residual,
+        Jacobian(jacobian), weights, lambda random: deviation * random.standard_normal(PIXELS), lambda r: r,
         1.0, 0.3, mask, np.where(pressed, 0.0, np.inf), np.where(pressed, 1e3, 0.0), 50, seed=1,
     )  # fmt: skip
     assert (errors[pressed] == 0).all() and (errors[~pressed] > 0).all()
