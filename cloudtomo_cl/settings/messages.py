@@ -54,6 +54,9 @@ def _message(entry: Any, key: str, schema: dict[str, Any]) -> str:
     kind, value = entry["type"], entry["input"]
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         allowed = sorted(_allowed_keys(schema, entry["loc"][:-1]))
+        others = _types_with_key(schema, entry["loc"])
+        if others:
+            return f"is no key of type {entry['loc'][-2]!r}, but of {' and '.join(map(repr, others))}"
         nearest = difflib.get_close_matches(str(entry["loc"][-1]), allowed, n=1)
         hint = f": did you mean {nearest[0]}?" if nearest else ""
         return f"is no known key{hint} (allowed: {', '.join(allowed)})"
@@ -94,6 +97,20 @@ def _allowed_keys(schema: dict[str, Any], location: tuple[int | str, ...]) -> li
             node = node["properties"][part]
         node = _resolved(node, schema)
     return list(node["properties"])
+
+
+def _types_with_key(schema: dict[str, Any], location: tuple[int | str, ...]) -> list[str]:
+    """Other types of the table that a key was given in, which have this key."""
+    node = _resolved(schema, schema)
+    for part in location[:-1]:
+        if "discriminator" in node:
+            if part != location[-2]:
+                node = _resolved({"$ref": node["discriminator"]["mapping"][part]}, schema)
+                continue
+            kinds = {kind: _resolved({"$ref": ref}, schema) for kind, ref in node["discriminator"]["mapping"].items()}
+            return [kind for kind, table in kinds.items() if kind != part and location[-1] in table["properties"]]
+        node = _resolved(node["items"] if isinstance(part, int) else node["properties"][part], schema)
+    return []
 
 
 def _resolved(node: dict[str, Any], schema: dict[str, Any]) -> dict[str, Any]:

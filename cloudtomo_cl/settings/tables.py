@@ -28,7 +28,8 @@ from pydantic.dataclasses import dataclass
 from cloudtomo_cl.errors import SettingsError
 from cloudtomo_cl.files.phase import read_phase_function
 from cloudtomo_cl.inversion.priors import Prior
-from cloudtomo_cl.inversion.solvers.optimizer import Optimizer
+from cloudtomo_cl.inversion.solvers.choice import SolverTable
+from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.inversion.stages import Stage
 from cloudtomo_cl.scene.formations import RingOfViews, StringOfScans, StringOfViews
 from cloudtomo_cl.scene.grid import Grid
@@ -44,6 +45,7 @@ from cloudtomo_cl.scene.sensors import (
     View,
 )
 from cloudtomo_cl.settings.messages import error_text, lines_of
+from cloudtomo_cl.settings.old_keys import refuse_old_keys
 from cloudtomo_cl.settings.overrides import with_overrides
 from cloudtomo_cl.settings.stored import scene_of_tables
 
@@ -212,7 +214,7 @@ class ReconstructSettings(BaseModel):
     view: ViewTables | None = None
     stage: Annotated[tuple[Stage, ...], Field(min_length=1)] | None = None
     prior: Prior = Prior()
-    optimizer: Optimizer = Optimizer()
+    solver: SolverTable = GaussNewton()
     run: Run = Run()
 
     def scene(self, stored: dict[str, Any]) -> Scene:
@@ -265,6 +267,7 @@ def read_reconstruct_settings(path: str | Path, overrides: Sequence[str] = ()) -
         raise SettingsError(
             f"{path}: cloud.file is not read by a reconstruction; to compare with a known cloud write [truth] file"
         )
+    refuse_old_keys(path, tables)
     return _check(path, tables, ReconstructSettings)
 
 
@@ -278,7 +281,8 @@ def repeated_reconstruct_settings(
     tables = stored.get("reconstruct")
     if not isinstance(tables, dict):
         raise SettingsError(f"{path}: keeps no settings of a reconstruction: give a run file, or a reconstruction.nc")
-    kept = {name: tables[name] for name in ("stage", "prior", "optimizer", "run") if tables.get(name) is not None}
+    refuse_old_keys(path, tables)
+    kept = {name: tables[name] for name in ("stage", "prior", "solver", "run") if tables.get(name) is not None}
     kept.setdefault("run", {})["seed"] = stored.get("seed", 0)
     kept["measurements"] = {"file": path.name}
     return _check(path, with_overrides(kept, overrides), ReconstructSettings)

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from cloudtomo_cl.commands.cli import parser
+from cloudtomo_cl.commands.cli import COMMANDS, parser
 from cloudtomo_cl.settings.tables import read_reconstruct_settings, read_render_settings
 
 TOP = Path(__file__).parents[2]
 PAGES = [TOP / "README.md", *sorted((TOP / "docs").rglob("*.md"))]
-COMMANDS = ("cloud", "init", "mie", "render", "flux", "reconstruct", "report", "validate")
 
 
 def blocks(page, language=""):
