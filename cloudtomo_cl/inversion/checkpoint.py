@@ -1,7 +1,7 @@
 """Checkpoints: all that a reconstruction needs to go on as if it had never been stopped.
 
 Random numbers need no state: they are a function of seed, iteration, view, pixel and sample
-(docs/sampling.md). What is kept: the descent's extinction, mean and moments, the remembered
+(docs/reference/random-numbers.md). What is kept: the descent's extinction, mean and moments, the remembered
 images, stage, iteration and history; and what the run is a run of, so that it is not gone on
 with under other settings.
 """

@@ -28,7 +28,7 @@ class Prior:
 
     A is the mean of a voxel's 26 neighbours minus itself; R_mon = -sum tanh(c1 Dz b) tanh(c2 b)
     over voxels with b > threshold, Dz the central difference along z from voxel to voxel.
-    Source: the supplement's Eqs. 20-23, with the gradient corrected (docs/estimators.md), and
+    Source: the supplement's Eqs. 20-23, with the gradient corrected (docs/explanation/derivatives.md), and
     the constants of the paper's released code.
 
     R_clear = sum b / (b + clear). It is ours: every voxel that holds cloud costs as much as its one

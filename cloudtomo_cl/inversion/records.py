@@ -45,8 +45,8 @@ class Reconstruction:
     mask : bool, where extinction was sought
     history : one record per iteration
     stage_ends : seconds since the start of the run
-    standard_error : of the extinction, km^-1, float32, shape of the grid (docs/estimators.md says of what); none
-        if it was not asked for, or is not known
+    standard_error : of the extinction, km^-1, float32, shape of the grid (docs/explanation/uncertainty.md says of
+        what); none if it was not asked for, or is not known
     timed_out : whether its time limit ended it
     """
 

@@ -108,7 +108,7 @@ class RadianceOperator:
     mask : bool, shape of the grid, where there may be droplets. Elsewhere every extinction must be 0
         and gradients mean nothing, for walks skip what is clear; by default everywhere
 
-    Source: the supplement's Eqs. 1-19; docs/estimators.md.
+    Source: the supplement's Eqs. 1-19; docs/explanation/radiance.md.
 
     Raises
     ------
