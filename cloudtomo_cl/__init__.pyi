@@ -14,10 +14,16 @@ from .files.measurements import (
 )
 from .files.phase import read_droplet_table, read_phase_function, write_phase_function
 from .inversion.carving import carve
-from .inversion.priors import Prior
-from .inversion.reconstruct import Reconstruction, reconstruct
-from .inversion.solvers.optimizer import Optimizer
+from .inversion.linear_model import Jacobian, LinearModel
+from .inversion.priors import Prior, Regulariser
+from .inversion.problem import Problem
+from .inversion.reconstruct import reconstruct
+from .inversion.records import IterationRecord, Reconstruction
+from .inversion.solvers.descent import SGD, Adam
+from .inversion.solvers.gauss_newton import GaussNewton
+from .inversion.solvers.protocol import Progress, Solver
 from .inversion.stages import Stage, automatic_stages
+from .inversion.voxels import Voxels
 from .opencl.device import choose_device, list_devices
 from .scene.droplets import DropletTable, extinction_from_water
 from .scene.formations import MISR_ANGLES, RingOfViews, StringOfScans, StringOfViews, fisheye_rays
@@ -38,6 +44,7 @@ from .transport.flux import Fluxes, FluxOperator
 from .transport.radiance import RadianceOperator, Rendering
 
 __all__ = [
+    "Adam",
     "Air",
     "Boundary",
     "Cloud",
@@ -47,30 +54,39 @@ __all__ = [
     "DropletTable",
     "FluxOperator",
     "Fluxes",
+    "GaussNewton",
     "Grid",
     "HenyeyGreenstein",
+    "IterationRecord",
+    "Jacobian",
+    "LinearModel",
     "MISR_ANGLES",
     "Measurements",
     "Noise",
-    "Optimizer",
     "OrthographicView",
     "PerspectiveView",
     "Prior",
+    "Problem",
+    "Progress",
     "PushBroomView",
     "RadianceOperator",
     "RadiometerView",
     "RayView",
     "ReadingOptions",
     "Reconstruction",
+    "Regulariser",
     "Rendering",
     "RingOfViews",
+    "SGD",
     "Scene",
+    "Solver",
     "Stage",
     "StringOfScans",
     "StringOfViews",
     "Sun",
     "Surface",
     "TabulatedPhaseFunction",
+    "Voxels",
     "automatic_stages",
     "carve",
     "choose_device",

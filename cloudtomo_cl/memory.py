@@ -1,38 +1,48 @@
-"""How much memory a computation needs, against what there is: said before it is taken."""
+"""How much memory there is, against what a computation needs: said before it is taken."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from math import prod
+from pathlib import Path
 
-from cloudtomo_cl.errors import DataError, DeviceError
+from cloudtomo_cl.errors import DataError
 
-if TYPE_CHECKING:
-    from cloudtomo_cl.opencl.device import Device
-
-# Bytes for each voxel and pixel, counted over the arrays that live at the same time and rounded up.
-_RENDER_VOXEL, _RENDER_PIXEL = 8, 48
-_DESCENT_VOXEL = 64
-_HOST_VOXEL, _HOST_PIXEL = 40, 160
-_PATH = 4
-_GENERATED_VOXEL = 64
 # Kernels count voxels with signed and pixels with unsigned integers of 32 bits.
-_MOST_VOXELS, _MOST_PIXELS = 2**31 - 1, 2**32 - 1
+MOST_VOXELS, MOST_PIXELS = 2**31 - 1, 2**32 - 1
+# Where control groups of version 2 and 1 say what a container or a batch job may take, and has taken.
+_CONTROL_GROUPS = (
+    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
+    ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
+)
 
 
-def _free_memory() -> int | None:
-    """Bytes that this process may still take; None where the system does not tell."""
+def free_memory() -> int:
+    """Bytes that this process may still take: of the machine, its control group and its limits (`ulimit -v`)."""
+    import psutil
+
+    return min([psutil.virtual_memory().available, *_left_by_control_groups(), *_left_by_limits()])
+
+
+def _left_by_control_groups() -> Iterator[int]:
+    for most, taken in _CONTROL_GROUPS:
+        try:
+            # Without a limit the file says "max", or a number beyond any memory.
+            yield max(int(Path(most).read_text()) - int(Path(taken).read_text()), 0)
+        except (OSError, ValueError):
+            continue
+
+
+def _left_by_limits() -> Iterator[int]:
+    import psutil
+
     try:
-        with open("/proc/meminfo", encoding="ascii") as file:
-            table = dict(line.split(":") for line in file)
-        return int(table["MemAvailable"].split()[0]) * 1024
-    except (OSError, KeyError, ValueError):
-        pass
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (OSError, ValueError, AttributeError):
-        return None
+        import resource
+    except ImportError:  # Windows
+        return
+    most, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if most != resource.RLIM_INFINITY:
+        yield max(most - psutil.Process().memory_info().vms, 0)
 
 
 def size_text(number: float) -> str:
@@ -42,6 +52,11 @@ def size_text(number: float) -> str:
             return f"{number:.0f} {unit}" if unit == "bytes" else f"{number:.3g} {unit}"
         number /= 1000
     raise AssertionError
+
+
+def shape_text(shape: tuple[int, ...]) -> str:
+    """A grid's numbers of voxels as a person says them."""
+    return " x ".join(map(str, shape))
 
 
 def require(needed: float, what: str, advice: str) -> None:
@@ -57,98 +72,19 @@ def require(needed: float, what: str, advice: str) -> None:
     ------
     DataError : there is less
     """
-    free = _free_memory()
-    if free is not None and needed > free:
+    free = free_memory()
+    if needed > free:
         raise DataError(
             f"{what} needs about {size_text(needed)} of memory, this machine has {size_text(free)} free: {advice}"
         )
 
 
-def _require_on_device(device: Device, total: float, largest: float, on_host: float, what: str, advice: str) -> None:
-    for needed, there, words in (
-        (total, device.opencl.global_mem_size, "has"),
-        (largest, device.opencl.max_mem_alloc_size, "gives at most"),
-    ):
-        if needed > there:
-            piece = "" if needed is total else " in one piece"
-            raise DeviceError(
-                f"{what} needs about {size_text(needed)} of memory{piece}, device {device.name} {words} "
-                f"{size_text(there)}: {advice}"
-            )
-    # A CPU's memory is the machine's own.
-    require(on_host + (total if device.shares_memory else 0), what, advice)
+def require_countable(voxels: int, pixels: int, what: str) -> None:
+    """DataError if there are more voxels or pixels than kernels count."""
+    if voxels > MOST_VOXELS or pixels > MOST_PIXELS:
+        raise DataError(f"{what} is more than kernels count ({MOST_PIXELS} pixels, {MOST_VOXELS} voxels): use fewer")
 
 
-def _count(numbers: Sequence[int]) -> int:
-    product = 1
-    for number in numbers:
-        product *= int(number)  # Python's integers do not overflow
-    return product
-
-
-def _pixels(views: Sequence[Any]) -> int:
-    return sum(_count(view.pixels) for view in views)
-
-
-def require_grid(shape: Sequence[int], what: str) -> None:
-    """Checks that an extinction of this shape can be made. DataError if not."""
-    voxels = _count(shape)
-    if voxels > _MOST_VOXELS:
-        raise DataError(f"{what}: {_shape(shape)} voxels are more than kernels count ({_MOST_VOXELS}): use fewer")
-    require(_GENERATED_VOXEL * voxels, f"{what}: an extinction of {_shape(shape)} voxels", "use fewer")
-
-
-def require_rendering(device: Device, shape: Sequence[int], views: Sequence[Any]) -> None:
-    """Checks that images of a grid can be rendered.
-
-    Raises
-    ------
-    DataError : the machine has not enough memory, or there are more voxels or pixels than kernels count
-    DeviceError : the device has not enough memory
-    """
-    pixels, voxels = _pixels(views), _count(shape)
-    what = f"rendering {pixels} pixels of {_shape(shape)} voxels"
-    if pixels > _MOST_PIXELS or voxels > _MOST_VOXELS:
-        raise DataError(f"{what} is more than kernels count ({_MOST_PIXELS} pixels, {_MOST_VOXELS} voxels): use fewer")
-    total = _RENDER_VOXEL * voxels + _RENDER_PIXEL * pixels
-    largest = max(_RENDER_VOXEL // 2 * voxels, _RENDER_PIXEL // 2 * pixels)
-    _require_on_device(device, total, largest, _HOST_PIXEL * pixels, what, "choose fewer pixels or voxels")
-
-
-def require_reconstruction(
-    device: Device, shape: Sequence[int], stage_shapes: Sequence[Sequence[int]], pixels: int, samples: int
-) -> None:
-    """Checks that the largest stage of a reconstruction fits, before the first one is begun.
-
-    Parameters
-    ----------
-    shape, stage_shapes : of the finest grid, and of those of the stages
-    pixels, samples : the largest numbers of pixels of a stage, and of paths for each
-
-    Raises
-    ------
-    DataError, DeviceError : as `require_rendering`
-    """
-    voxels = max(_count(stage) for stage in stage_shapes)
-    finest = _count(shape)
-    what = f"a reconstruction with {_shape(max(stage_shapes, key=_count))} voxels and {pixels} pixels"
-    if max(voxels, finest) > _MOST_VOXELS:
-        raise DataError(f"{what} has more voxels than the {_MOST_VOXELS} that kernels count: use fewer")
-    paths = _PATH * pixels * samples
-    total = _DESCENT_VOXEL * voxels + _RENDER_PIXEL * pixels + paths
-    largest = max(8 * voxels, _RENDER_PIXEL // 2 * pixels)
-    host = _HOST_VOXEL * (voxels + finest) + _HOST_PIXEL * pixels
-    _require_on_device(device, total, largest, host, what, "choose a coarser [grid] or [[stage]], or fewer samples")
-
-
-def require_jacobian(pixels: int, voxels: int) -> None:
-    """Checks that the derivatives of so many pixels with respect to so many voxels fit, twice. DataError if not."""
-    require(
-        2 * 4.0 * pixels * voxels,
-        f"the derivatives of {pixels} pixels with respect to {voxels} voxels",
-        'choose fewer pixels, a coarser [grid] or [[stage]], or optimizer.type = "adam", which keeps none',
-    )
-
-
-def _shape(shape: Sequence[int]) -> str:
-    return " x ".join(map(str, shape))
+def voxels_of(shape: tuple[int, ...]) -> int:
+    """Voxels of a grid; Python's integers do not overflow."""
+    return prod(int(count) for count in shape)

@@ -6,7 +6,7 @@
  * source function that droplets there would have, and the way to the sun adds -l times the local
  * estimate. Source and radiance come from a table by voxel and direction, which the paths of all
  * pixels fill. It is this pooling that takes the noise out; the table's cells are what biases it
- * (docs/estimators.md). */
+ * (docs/explanation/derivatives.md). */
 #define CLOUDTOMO_FIELD
 #include "path.h"
 

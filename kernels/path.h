@@ -36,7 +36,7 @@ inline uint path_of_item(uint item, uint pixel_count, uint path_count)
 #define REPLAY_TOLERANCE 1e-4f
 /* Side flights aimed at the sun: expected number per unit of weight x phase function (sr),
  * its bounds, and the threshold of the roulette on local estimates (sr^-1). Found by
- * measurement: docs/estimators.md. */
+ * measurement: docs/explanation/radiance.md. */
 #define SIDE_FLIGHT_RATE 6.0f
 #define SIDE_FLIGHT_LEAST 0.05f
 #define SIDE_FLIGHT_MOST 6.0f

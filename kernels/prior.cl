@@ -1,5 +1,5 @@
 /* The priors of the supplement's Eqs. 20-23, each with its exact gradient (the printed Eq. 23
- * lacks the transpose on Dz; see docs/estimators.md). One work item per voxel; the gradient is
+ * lacks the transpose on Dz; see docs/explanation/derivatives.md). One work item per voxel; the gradient is
  * gathered, not scattered: no atomics. Extinction in km^-1, arrays [x][y][z], z fastest. */
 
 inline int3 voxel_of(int index, int3 shape)

@@ -30,7 +30,7 @@ import cloudtomo_cl as ct
 from cloudtomo_cl.transport.audit import Account
 
 # What an event takes beside its crossings, in crossings: random numbers, phase functions, starts of flights
-# (from the profile in docs/speed.md).
+# (from the profile in docs/decisions/work-item-order.md).
 EVENT_STEPS = 10
 _EVENTS = 128  # those told apart, as in count.cl
 _SOURCE = Path(__file__).with_name("benchmarks") / "count.cl"

@@ -71,7 +71,10 @@ RUN: dict[str, Any] = {
     "run": {"seed": 1, "time_limit": 0.05, "checkpoint_interval": 1.0},
     "stage": [{"grid": [2, 2, 2], "pixels": 0.5, "samples": 4, "iterations": 1, "window": 2, "prior_weight": 1.0}],
     "prior": {"smoothness": 1e-4, "monotonicity": 0.1, "c1": 0.2, "c2": 0.05, "threshold": 0.01},
-    "optimizer": {"type": "adam", "step": 0.1, "variable": "square-root", "floor": 0.01, "start": 2.0, "averaging": 3},
+    "solver": {
+        "type": "adam", "step_size": 0.1, "parametrisation": "square-root", "floor": 0.01, "start": 2.0,
+        "iterate_average_window": 3,
+    },
 }
 RENDER = ["render", "scene.toml", "--samples", "4", "--output", "new.nc"]
 RECONSTRUCT = ["reconstruct", "run.toml", "--output", "new"]
@@ -307,25 +310,24 @@ class Bench:
     """Runs cases, each in a fresh copy of the same small inputs."""
 
     def __init__(self, folder: Path) -> None:
-        from cloudtomo_cl.commands import cli
-        from cloudtomo_cl.commands import reconstruct as commands
+        from cloudtomo_cl.commands import cli, fluxes, modelled, reconstruction, rendering
         from cloudtomo_cl.opencl.device import choose_device
         from cloudtomo_cl.report import plots
 
         self.folder = folder
         self.main = cli.main
-        device, choose = choose_device(), commands.choose_device
+        device, choose = choose_device(), choose_device
         # Opened and built once: the cases are about what users give.
-        commands.choose_device = lambda name=None: device if name is None else choose(name)
+        for module in (fluxes, reconstruction, rendering):
+            module.choose_device = lambda name=None: device if name is None else choose(name)
         # The images of a report are rendered with millions of paths, and its figures take seconds: the cases
         # of reports are those that make one, and few of them draw.
-        commands._MODELLED_PATHS = 1000
+        modelled.PATHS = 1000
         self.template = folder / "template"
         if not self.template.exists():
             self.prepare()
         self.plots, self.draw = plots, plots.save_figures
-        self.figures = commands.report
-        self.commands = commands
+        self.make_report, self.reconstruction = reconstruction.make_report, reconstruction
 
     def prepare(self) -> None:
         import numpy as np
@@ -356,7 +358,7 @@ class Bench:
         with _inside(folder):
             command = kind(folder, rng)
             before = _listing(folder)
-            self.commands.report = self.figures if kind is report_case else lambda *_, **__: None
+            self.reconstruction.make_report = self.make_report if kind is report_case else lambda *_, **__: None
             self.plots.save_figures = self.draw if number % _DRAWN == 0 else lambda *_, **__: []
             output, errors = io.StringIO(), io.StringIO()
             start, wrong = time.monotonic(), ""

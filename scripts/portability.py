@@ -10,7 +10,7 @@ over: how often that was is printed). Oclgrind interprets kernels and looks for 
 is not theirs or was never written: there a choice of small tests runs (SIMULATED). Printed is a table,
 in Markdown; exit status 0 if all agree.
 
-docs/portability.md says what to install.
+docs/how-to/devices.md says what to install.
 """
 
 from __future__ import annotations

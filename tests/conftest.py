@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cloudtomo_cl.commands import reconstruct as commands
+from cloudtomo_cl.commands import modelled
 from cloudtomo_cl.opencl.device import choose_device
 
 
@@ -23,6 +23,6 @@ def random():
 def quick_reports():
     """A reconstruction's report has images of millions of paths, which no test looks at closely."""
     patch = pytest.MonkeyPatch()
-    patch.setattr(commands, "_MODELLED_PATHS", 3e4)
+    patch.setattr(modelled, "PATHS", 3e4)
     yield
     patch.undo()

@@ -14,12 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.memory import require_grid
+from cloudtomo_cl.memory import require, require_countable, shape_text, voxels_of
 from cloudtomo_cl.scene.grid import Grid
 
 # Heights of base and top, and the margin at the sides, as shares of the domain.
 _BASE, _TOP, _MARGIN = 0.26, 0.82, 0.06
 _THERMALS = 7
+# Arrays that live at the same time while one is made, rounded up.
+_BYTES_PER_VOXEL = 64
 # Turbulence: the largest eddies relative to the cloud's depth, and how much smaller the smallest are.
 _OUTER_SCALE, _SCALE_RANGE, _MODES = 0.7, 10.0, 300
 # How far turbulence moves the cloud's edge, in units of the thermals' shape function.
@@ -92,7 +94,7 @@ def cumulus(
     ------
     DataError : clouds, peak, base or top out of range; a grid too coarse to hold any cloud
     """
-    require_grid(grid.shape, "cumulus")
+    _require_memory(grid, "cumulus")
     if clouds < 1:
         raise DataError(f"clouds is {clouds}: there must be at least 1")
     if not (np.isfinite(peak) and peak > 0):
@@ -266,3 +268,10 @@ PRESETS = {
         stratocumulus,
     ),
 }
+
+
+def _require_memory(grid: Grid, what: str) -> None:
+    """DataError if there is not memory enough for an extinction on this grid, or more voxels than kernels count."""
+    voxels, shape = voxels_of(grid.shape), shape_text(grid.shape)
+    require_countable(voxels, 0, f"{what}: {shape} voxels")
+    require(_BYTES_PER_VOXEL * voxels, f"{what}: an extinction of {shape} voxels", "use fewer")

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cloudtomo_cl.errors import DataError, SettingsError
+from cloudtomo_cl.commands import options
+from cloudtomo_cl.errors import DataError, SettingsError, printable
 
 if TYPE_CHECKING:
     from cloudtomo_cl.clouds.volume import CloudVolume
     from cloudtomo_cl.scene.grid import Grid
+
+HELP = "read, change or generate a cloud"
 
 DESCRIPTION = """\
 Read a cloud, or generate one; crop, pad, rotate, coarsen and tile it (in this order); summarise, plot, write it.
@@ -33,8 +35,8 @@ examples:
   cloudtomo cloud --generate cumulus --shape 32 32 32 --spacing 0.025 0.025 0.025 --seed 1 --output cloud.nc"""
 
 
-def add_arguments(parser: argparse.ArgumentParser, seed: Callable[[str], int]) -> None:
-    """The options of the command; they are the parameters of `cloud`. `seed` reads one."""
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the command; they are the parameters of `run`."""
     triple: dict[str, Any] = {"nargs": 3, "metavar": ("DX", "DY", "DZ")}
     parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="the cloud to read")
     parser.add_argument("--output", type=Path, metavar="FILE", help="where the cloud goes, netCDF")
@@ -43,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser, seed: Callable[[str], int]) -
     made = parser.add_argument_group("to generate one")
     made.add_argument("--generate", metavar="KIND", help="cumulus, field, tower or stratocumulus")
     made.add_argument("--shape", nargs=3, type=int, metavar=("NX", "NY", "NZ"), help="voxels along x, y, z")
-    made.add_argument("--seed", type=seed, default=0, help="of the generated cloud (default 0)")
+    made.add_argument("--seed", type=options.seed, default=0, help="of the generated cloud (default 0)")
 
     read = parser.add_argument_group("to read one: what the file leaves open")
     read.add_argument("--spacing", type=float, **triple, help="edges of a voxel, km (also of a generated cloud)")
@@ -64,9 +66,11 @@ def add_arguments(parser: argparse.ArgumentParser, seed: Callable[[str], int]) -
     change.add_argument("--rotate", type=int, metavar="DEGREES", help="about the vertical, from x to y: 90, 180, 270")
     change.add_argument("--coarsen", nargs=3, type=int, metavar=("X", "Y", "Z"), help="voxels to average along x, y, z")
     change.add_argument("--tile", nargs=2, type=int, metavar=("X", "Y"), help="copies along x and y")
+    options.add_overwrite(parser)
+    options.add_quiet(parser)
 
 
-def cloud(
+def run(
     file: Path | None,
     output: Path | None,
     png: Path | None,
@@ -82,28 +86,30 @@ def cloud(
     overwrite: bool,
     **reading: Any,
 ) -> None:
-    """Runs the command; `reading` are the fields of `ReadingOptions`."""
+    """Reads or generates, changes, writes and summarises a cloud; `reading` are the fields of `ReadingOptions`."""
     from cloudtomo_cl.files.netcdf import check_output
 
     if (file is None) == (generate is None):
         raise SettingsError("give either FILE, or --generate cumulus (or field, tower, stratocumulus)")
     if generate is None and shape is not None:
         raise SettingsError("--shape belongs to --generate; to change a file's voxels use --crop, --pad or --coarsen")
+    if generate is not None and output is None:
+        raise SettingsError("--generate needs --output too")
     for path in (output, png):
         if path is not None:
             check_output(path, overwrite)
+    steps = {"crop": crop, "pad": pad, "rotate": rotate, "coarsen": coarsen, "tile": tile}
+    bounds = None if crop is None else _pairs("crop", crop, float, (None, None))
+    clear = None if pad is None else _pairs("pad", pad, int, (0, 0))
     if file is not None:
         volume = _read(file, reading)
     else:
         assert generate is not None
-        if output is None:
-            raise SettingsError("--generate needs --output too")
         for name, value in reading.items():
             if name != "spacing" and value not in (None, "xyz", "refuse"):
                 raise SettingsError(f"--{name.replace('_', '-')} belongs to FILE, not to --generate: leave it out")
         volume = _generated(generate, shape, reading["spacing"], seed)
-    steps = {"crop": crop, "pad": pad, "rotate": rotate, "coarsen": coarsen, "tile": tile}
-    volume = _changed(volume, steps)
+    volume = _changed(volume, bounds, clear, rotate, coarsen, tile)
     if output is not None:
         made: dict[str, Any] = {"generator": generate, "seed": seed} if file is None else {"cloud_file": file.name}
         made.update(shape=shape, **reading, **steps)
@@ -112,7 +118,7 @@ def cloud(
         _plot(png, volume)
     if not quiet:
         for name, value in volume.summary().items():
-            print(f"{name:<24}{value}")
+            print(printable(f"{name:<24}{value}"))
         for path in (output, png):
             if path is not None:
                 print(f"{path} is written")
@@ -168,18 +174,25 @@ def _grid(shape: list[int], spacing: list[float] | None) -> Grid:
         raise SettingsError(f"--{first['loc'][0]}: {message}, is {first['input']}") from None
 
 
-def _changed(volume: CloudVolume, steps: dict[str, Any]) -> CloudVolume:
+def _changed(
+    volume: CloudVolume,
+    crop: list[tuple[Any, Any]] | None,
+    pad: list[tuple[Any, Any]] | None,
+    rotate: int | None,
+    coarsen: list[int] | None,
+    tile: list[int] | None,
+) -> CloudVolume:
     """Crop, pad, rotate, coarsen, tile: those that were asked for."""
-    if steps["crop"] is not None:
-        volume = volume.cropped(_pairs("crop", steps["crop"], float, (None, None)))
-    if steps["pad"] is not None:
-        volume = volume.padded(_pairs("pad", steps["pad"], int, (0, 0)))
-    if steps["rotate"] is not None:
-        volume = volume.rotated(steps["rotate"])
-    if steps["coarsen"] is not None:
-        volume = volume.coarsened(steps["coarsen"])
-    if steps["tile"] is not None:
-        volume = volume.tiled(*steps["tile"])
+    if crop is not None:
+        volume = volume.cropped(crop)
+    if pad is not None:
+        volume = volume.padded(pad)
+    if rotate is not None:
+        volume = volume.rotated(rotate)
+    if coarsen is not None:
+        volume = volume.coarsened(coarsen)
+    if tile is not None:
+        volume = volume.tiled(*tile)
     if not volume.extinction.any():
         raise DataError("no cloud is left: extinction is zero in every voxel; crop less")
     return volume

@@ -8,10 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cloudtomo_cl.commands import options
 from cloudtomo_cl.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
     from cloudtomo_cl.clouds.volume import CloudVolume
+
+HELP = "write a settings file to start from"
 
 DESCRIPTION = """\
 Write a commented settings file to start from: of a scene to render, or of a reconstruction.
@@ -88,22 +91,24 @@ _RUN = """\
 # Lines that begin with # are comments: what is optional is there with its default.
 
 [measurements]
-file = {measurements}             # beside this file; `cloudtomo render` makes it, docs/howto.md tells the format
+file = {measurements}             # beside this file; by `cloudtomo render`; format: docs/how-to/measurements.md
 
 {truth}
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the command; they are the parameters of `init`."""
+    """The options of the command; they are the parameters of `run`."""
     parser.add_argument("kind", choices=list(_FILES), nargs="?", default="render", help="(default: render)")
     parser.add_argument("--output", type=Path, metavar="FILE", help="by default scene.toml or run.toml")
     parser.add_argument("--cloud", type=Path, metavar="FILE", help="of a scene: the cloud that the views shall see")
     parser.add_argument("--measurements", type=Path, metavar="FILE", help="of a run: the images (default images.nc)")
     parser.add_argument("--truth", type=Path, metavar="FILE", help="of a run: the known cloud to compare with")
+    options.add_overwrite(parser)
+    options.add_quiet(parser)
 
 
-def init(
+def run(
     kind: str,
     output: Path | None,
     cloud: Path | None,
@@ -151,7 +156,7 @@ def scene_file(cloud: Path | None, folder: Path) -> str:
 def run_file(measurements: Path, truth: Path | None, folder: Path) -> str:
     """The text of a run file in a folder."""
     from cloudtomo_cl.inversion.priors import Prior
-    from cloudtomo_cl.inversion.solvers.optimizer import Optimizer
+    from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
     from cloudtomo_cl.inversion.stages import Stage
     from cloudtomo_cl.settings.tables import Run
 
@@ -161,7 +166,7 @@ def run_file(measurements: Path, truth: Path | None, folder: Path) -> str:
     else:
         shown = known + _relative(truth, folder)
     text = _aligned(_RUN.format(measurements=_relative(measurements, folder), truth=shown))
-    tables = (("run", Run), ("prior", Prior), ("optimizer", Optimizer))
+    tables = (("run", Run), ("prior", Prior), ("solver", GaussNewton))
     lines = [line for name, kind in tables for line in _commented(name, kind)]
     stages = ["\n# Stages, from coarse to fine, as many tables as there are; without any they are chosen by the grid."]
     return "\n".join([text, *lines, *stages, *_commented("stage", Stage, "[[stage]]"), ""])

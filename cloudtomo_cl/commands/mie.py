@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from cloudtomo_cl.commands import options
 from cloudtomo_cl.errors import DataError, SettingsError
+
+if TYPE_CHECKING:
+    from cloudtomo_cl.scene.droplets import DropletTable
+
+HELP = "phase functions of droplets by Mie's theory"
 
 DESCRIPTION = """\
 Compute phase functions and other optics of cloud droplets by Mie's theory.
@@ -28,7 +36,7 @@ _LARGEST_COUNT = 200
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the command; they are the parameters of `mie`."""
+    """The options of the command; they are the parameters of `run`."""
     parser.add_argument("--wavelength", type=float, required=True, metavar="NM", help="nm")
     parser.add_argument(
         "--effective-radius", type=float, nargs="+", required=True, metavar="UM", help="of the droplets, um, increasing"
@@ -46,9 +54,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="the table, netCDF")
     parser.add_argument("--png", type=Path, metavar="FILE", help="a picture of it (.png, .pdf, .svg)")
+    options.add_overwrite(parser)
+    options.add_quiet(parser)
 
 
-def mie(
+def run(
     wavelength: float,
     effective_radius: list[float],
     count: int | None,
@@ -60,7 +70,6 @@ def mie(
     overwrite: bool,
 ) -> None:
     """Makes a table of droplets' optics."""
-    import numpy as np
     from rich.console import Console
 
     from cloudtomo_cl.clouds.mie import droplet_table
@@ -70,49 +79,60 @@ def mie(
     from cloudtomo_cl.files.phase import write_phase_function
 
     check_output(output, overwrite)
-    radii = list(effective_radius)
-    if count is not None:
-        if len(radii) != 2 or not 2 <= count <= _LARGEST_COUNT:
-            raise SettingsError(
-                f"--count {count} with {len(radii)} radii: it needs the first and the last --effective-radius, "
-                f"and must lie between 2 and {_LARGEST_COUNT}"
-            )
-        # Without the noise of divisions: 5.8, not 5.800000000000001.
-        radii = [float(f"{radius:.6g}") for radius in np.linspace(radii[0], radii[1], count)]
+    radii = _radii(effective_radius, count)
     index = None if refractive_index is None else complex(refractive_index[0], -refractive_index[1])
-    console = Console(quiet=quiet)
+    console = Console(markup=False, emoji=False, quiet=quiet)
     with progress.counting(console, "droplet sizes") as show:
         table = droplet_table(wavelength, radii, effective_variance, index, show)
     settings = {
         "wavelength": wavelength,
-        "effective_radius": list(radii),
+        "effective_radius": radii,
         "effective_variance": effective_variance,
         "refractive_index": [table.refractive_index_real, table.refractive_index_imag],
     }
     write_phase_function(output, table, {"source": source(), "versions": versions(), "settings": settings})
+    for line in (*_lines(table), str(output)):
+        console.print(line, highlight=False, soft_wrap=True)
+    if png is not None:
+        _plot(png, table)
+
+
+def _radii(given: list[float], count: int | None) -> list[float]:
+    """Those that were given, or as many as were asked for from the first to the last."""
+    import numpy as np
+
+    if count is None:
+        return list(given)
+    if len(given) != 2 or not 2 <= count <= _LARGEST_COUNT:
+        raise SettingsError(
+            f"--count {count} with {len(given)} radii: it needs the first and the last --effective-radius, "
+            f"and must lie between 2 and {_LARGEST_COUNT}"
+        )
+    # Without the noise of divisions: 5.8, not 5.800000000000001.
+    return [float(f"{radius:.6g}") for radius in np.linspace(given[0], given[1], count)]
+
+
+def _lines(table: DropletTable) -> Iterator[str]:
+    """What is printed of a table."""
     function = table.phase_function
-    console.print(
-        f"refractive index {table.refractive_index_real:.5g} - {table.refractive_index_imag:.3g} i, "
-        f"{len(function.angle)} angles",
-        highlight=False,
-    )
+    index = f"{table.refractive_index_real:.5g} - {table.refractive_index_imag:.3g} i"
+    yield f"refractive index {index}, {len(function.angle)} angles"
     albedos = function.single_scattering_albedo or ()
     for row in zip(
         function.effective_radius, function.asymmetry(), albedos, table.extinction_efficiency, table.mass_extinction
     ):
-        console.print(
+        yield (
             "radius {:g} um: asymmetry {:.4f}, single-scattering albedo {:.6f}, extinction efficiency {:.4f}, "
-            "mass extinction {:.4g} m^2 g^-1".format(*row),
-            highlight=False,
-            soft_wrap=True,
+            "mass extinction {:.4g} m^2 g^-1".format(*row)
         )
-    console.print(str(output), highlight=False, soft_wrap=True)
-    if png is not None:
-        from cloudtomo_cl.report.plots import new_figure, plot_phase_function
 
-        figure = new_figure(7, 4.5)
-        plot_phase_function(figure.subplots(), function)
-        try:
-            figure.savefig(png, dpi=130)
-        except (OSError, ValueError) as error:
-            raise DataError(f"{png}: could not be drawn ({error}): the name must end in .png, .pdf or .svg") from None
+
+def _plot(png: Path, table: DropletTable) -> None:
+    from cloudtomo_cl.report.plots import new_figure, plot_phase_function
+
+    figure = new_figure(7, 4.5)
+    plot_phase_function(figure.subplots(), table.phase_function)
+    try:
+        figure.savefig(png, dpi=130)
+    except (OSError, ValueError) as error:
+        raise DataError(f"{png}: could not be drawn ({error}): the name must end in .png, .pdf or .svg") from None

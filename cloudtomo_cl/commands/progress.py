@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 if TYPE_CHECKING:
-    from cloudtomo_cl.inversion.reconstruct import IterationRecord
+    from cloudtomo_cl.inversion.records import IterationRecord
 
 _PLAIN_LINE_SECONDS = 10.0
 
@@ -85,7 +85,7 @@ def with_error(value: float, error: float) -> str:
 
 
 class ReconstructionProgress:
-    """A callback of `reconstruct`: stage, iteration, cost with its noise, error, photons per second, time left.
+    """A callback of `reconstruct`: stage, iteration, cost with its noise, error, paths per second, time left.
 
     Without a time limit the time left is the most that the present stage can take: when it ends
     depends on the cost.
@@ -127,7 +127,7 @@ class ReconstructionProgress:
             self._stage_start = self._last.seconds
         self._last = record
         if self._bar is not None and self._task is not None:
-            speed = f"{record.photons / max(record.seconds, 1e-3):.2g} photons/s"
+            speed = f"{record.paths / max(record.seconds, 1e-3):.2g} paths/s"
             text = f"{self._text(record)}  {speed}  {self._left(record)}"
             self._bar.update(self._task, description=text, completed=record.iteration + 1, total=record.iterations)
         elif time.monotonic() - self._shown >= _PLAIN_LINE_SECONDS:

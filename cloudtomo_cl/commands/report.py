@@ -1,102 +1,31 @@
-"""`cloudtomo report`: the figures and the page of a run folder, from what the folder holds."""
+"""`cloudtomo report`: figures and page of a run folder. Imports what is slow when it runs."""
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
-from typing import Any
 
-import numpy as np
+from cloudtomo_cl.commands import options
 
-from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.scene.grid import Grid
+HELP = "make a run's figures again"
 
-# Extinction of voxels that hold cloud, km^-1.
-_CLOUD = 1.0
+DESCRIPTION = """\
+Make the figures of a run folder and its page report.html again: slices, maps, history, measured and
+modelled images, and what else is known. A reconstruction does it by itself."""
+
+EXAMPLES = """\
+example:
+  cloudtomo report run"""
 
 
-def report(folder: Path, quiet: bool) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the command."""
+    parser.add_argument("folder", type=Path, metavar="DIR", help="a run folder")
+    options.add_quiet(parser)
+
+
+def run(folder: Path, quiet: bool) -> None:
     """Makes figures/*.png, figures/*.pdf and report.html."""
-    from cloudtomo_cl.commands.provenance import source
-    from cloudtomo_cl.commands.run_folder import RunFolder
-    from cloudtomo_cl.files.measurements import read_measurements
-    from cloudtomo_cl.files.netcdf import load_dataset
-    from cloudtomo_cl.files.truth import read_truth
-    from cloudtomo_cl.files.whole import written_whole
-    from cloudtomo_cl.report.page import report_page
-    from cloudtomo_cl.report.plots import run_figures, save_figures
+    from cloudtomo_cl.commands.reporting import make_report
 
-    run = RunFolder(folder)
-    grid, extinction, _ = run.read_reconstruction()
-    settings, history = run.read_settings(), run.read_history()
-    missing = {"stage", "seconds", "photons", "cost", "cost_standard_error", "epsilon"} - set(history)
-    if missing or not len(history["stage"]):
-        lacks = f"has no column {', '.join(sorted(missing))}" if missing else "has no iteration"
-        raise DataError(f"{run.history_file}: {lacks}: it is no history of a run")
-    files = settings.get("files", {})
-    measurements = truth = modelled = None
-    if "measurements" in files:
-        measurements = _if_there(folder / files["measurements"], read_measurements)
-    if "truth" in files:
-        truth = _if_there(folder / files["truth"], lambda path: read_truth(path, grid))
-    if run.modelled_file.is_file():
-        modelled = read_measurements(run.modelled_file)
-    if not quiet:
-        print("drawing figures and report ...")
-    figures = run_figures(grid, extinction, history, truth, measurements, modelled)
-    paths = save_figures(run.figures, figures)
-    result = load_dataset(run.reconstruction_file)
-    attributes = result.attrs
-    numbers = _numbers(grid, extinction, truth, history, settings)
-    if "extinction_standard_error" in result and (extinction > _CLOUD).any():
-        error = np.median(result["extinction_standard_error"].values[extinction > _CLOUD])
-        numbers["typical standard error in cloud"] = f"{error:.3g} km⁻¹"
-    page = report_page(
-        f"Reconstruction {folder.resolve().name}",
-        f"{attributes.get('source', source())}, {attributes.get('state', 'complete')}",
-        numbers,
-        grid,
-        extinction,
-        {path.stem: path.read_bytes() for path in paths if path.suffix == ".png"},
-        settings,
-        truth,
-        measurements,
-        modelled,
-    )
-    with written_whole(run.report_file) as partial:
-        partial.write_text(page, encoding="utf-8")
-    if not quiet:
-        print(f"{run.figures}: {', '.join(figures)}, each as .png and .pdf")
-        print(f"{run.report_file}: open it in a browser")
-
-
-def _numbers(
-    grid: Grid, extinction: np.ndarray, truth: np.ndarray | None, history: dict[str, np.ndarray], settings: Any
-) -> dict[str, str]:
-    from cloudtomo_cl.commands.progress import duration, with_error
-    from cloudtomo_cl.scene.metrics import delta, epsilon
-
-    numbers = {}
-    if truth is not None:
-        numbers["error eps"] = f"{epsilon(extinction, truth):.3f}"
-        numbers["bias of the optical mass delta"] = f"{delta(extinction, truth):+.1%}"
-    depth = extinction.sum(axis=2, dtype=float) * grid.spacing[2]
-    numbers["optical mass"] = f"{extinction.sum(dtype=float) * grid.voxel_volume:.4g} km²"
-    numbers["largest optical depth"] = f"{depth.max():.3g}"
-    numbers["voxels"] = " × ".join(map(str, grid.shape))
-    numbers["last cost"] = with_error(history["cost"][-1], history["cost_standard_error"][-1])
-    numbers["iterations"] = str(len(history["cost"]))
-    numbers["photons"] = f"{history['photons'][-1]:.3g}"
-    numbers["time"] = duration(float(history["seconds"][-1]))
-    device = settings.get("device")
-    if isinstance(device, dict) and "name" in device:
-        numbers["device"] = str(device["name"])
-    return numbers
-
-
-def _if_there(path: Path, read: Any) -> Any:
-    """What a file holds; a run folder that was moved away from its inputs still gets its other figures."""
-    if path.is_file():
-        return read(path)
-    print(f"cloudtomo report: {path} is not there any more: figures that need it are left out", file=sys.stderr)
-    return None
+    make_report(folder, quiet)

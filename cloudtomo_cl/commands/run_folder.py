@@ -31,7 +31,7 @@ from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
 
 if TYPE_CHECKING:
-    from cloudtomo_cl.inversion.reconstruct import IterationRecord
+    from cloudtomo_cl.inversion.records import IterationRecord
 
 
 class RunFolder:

@@ -9,16 +9,34 @@ from __future__ import annotations
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.sensors import AffineView, RayView
 from cloudtomo_cl.scene.visibility import footprints, pixels_that_meet, slabs
+from cloudtomo_cl.transport.radiance import RadianceOperator
 
 _SCALE_PERCENTILE = 99.0
 _QUIET_PERCENTILE = 25.0
 # Up to where noise may raise the tolerance, in contrasts. Beyond, noisy ground counts as cloudy:
 # with 3 a cloud lost 1.4 % of its mass in images of 24x24 pixels and 256 samples.
 _LOOSEST = 2.5
+
+# Paths per pixel of the cloud-free images that carving compares with. Without air only the horizon makes them noisy.
+_CLEAR_SAMPLES, _CLEAR_SAMPLES_IN_AIR = 16, 256
+
+
+def carved_mask(scene: Scene, measurements: Measurements, device: Device) -> np.ndarray:
+    """The voxels that images leave room for cloud in: bool, shape of the scene's grid.
+
+    Renders the scene without cloud, and carves (`carve`).
+    """
+    # Without cloud there is no forward peak to tame, and no roulette is wanted on faint ground.
+    operator = RadianceOperator(scene, measurements.views, device, estimator="plain")
+    samples = _CLEAR_SAMPLES if scene.air is None else _CLEAR_SAMPLES_IN_AIR
+    cloud_free = operator.render(np.zeros(scene.grid.shape, np.float32), samples)
+    return carve(scene.grid, measurements, Measurements.rendered(operator, cloud_free))
 
 
 def cloudy_pixels(

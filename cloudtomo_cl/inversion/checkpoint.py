@@ -1,7 +1,7 @@
 """Checkpoints: all that a reconstruction needs to go on as if it had never been stopped.
 
 Random numbers need no state: they are a function of seed, iteration, view, pixel and sample
-(docs/sampling.md). What is kept: the descent's extinction, mean and moments, the remembered
+(docs/reference/random-numbers.md). What is kept: the descent's extinction, mean and moments, the remembered
 images, stage, iteration and history; and what the run is a run of, so that it is not gone on
 with under other settings.
 """
@@ -22,13 +22,11 @@ from pydantic import TypeAdapter
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.whole import written_whole
-from cloudtomo_cl.inversion.priors import Prior
-from cloudtomo_cl.inversion.solvers.optimizer import Optimizer
 from cloudtomo_cl.inversion.stages import Stage
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
 
-FORMAT = 2
+FORMAT = 3
 _DIGEST = "sha256:"
 # Lists longer than this are kept as a digest.
 _LONG = 32
@@ -49,7 +47,7 @@ class Checkpoint:
     seconds : since the start of the run
     stage_ends : seconds, of the stages before this one
     history : the fields of every iteration's record
-    state : the arrays of descent and residual, and the mask
+    state : the arrays of the solver's state, and the mask
     """
 
     identity: dict[str, Any]
@@ -65,6 +63,11 @@ class Checkpoint:
     def mask(self) -> np.ndarray:
         """bool, on the finest grid"""
         return self.state["mask"].astype(bool)
+
+    @property
+    def solver_state(self) -> dict[str, np.ndarray]:
+        """The arrays of the solver's state, for `solvers.state.restored`."""
+        return {name: array for name, array in self.state.items() if name != "mask"}
 
     def check(self, identity: dict[str, Any]) -> None:
         """DataError if the run with this identity is another one; it names every key that differs."""
@@ -87,16 +90,6 @@ class Checkpoint:
         text = json.dumps({"format": FORMAT, **header}).encode()
         with written_whole(path) as partial, open(partial, "wb") as file:
             np.savez(file, header=np.frombuffer(text, np.uint8), **self.state)  # type: ignore[arg-type]  # no array is named allow_pickle
-
-
-def joined(parts: dict[str, dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """The states of several parts as one, under "part.name"."""
-    return {f"{name}.{key}": array for name, arrays in parts.items() for key, array in arrays.items()}
-
-
-def part(state: dict[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
-    """One part out of what `joined` made."""
-    return {key.partition(".")[2]: array for key, array in state.items() if key.startswith(f"{name}.")}
 
 
 def read_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
@@ -127,8 +120,8 @@ def identity_of(
     scene: Scene,
     measurements: Measurements,
     stages: Sequence[Stage],
-    prior: Prior,
-    optimizer: Optimizer,
+    prior: Any,
+    solver: Any,
     mask: np.ndarray,
     truth: np.ndarray | None,
     seed: int,
@@ -145,8 +138,8 @@ def identity_of(
         "seed": seed,
         "scene": settings(scene),
         "stage": [*map(settings, stages[:-1]), settings(stages[-1], "iterations")],
-        "prior": settings(prior),
-        "optimizer": settings(optimizer, "iterations"),
+        "prior": _of_object(prior),
+        "solver": _of_object(solver, "iterations"),
         "view": [settings(view) for view in measurements.views],
         "images": [_digest(image) for image in measurements.images],
         "standard_errors": [_digest(error) for error in measurements.standard_errors],
@@ -154,6 +147,16 @@ def identity_of(
         "mask": _digest(mask),
         "truth": None if truth is None else _digest(np.asarray(truth, np.float64)),
     }
+
+
+def _of_object(value: Any, *without: str) -> Any:
+    """The settings of a prior or solver; of one that is the user's own its class, and what `repr` says of it."""
+    if hasattr(type(value), "__pydantic_fields__"):
+        return _shortened(TypeAdapter(type(value)).dump_python(value, mode="json", exclude={*without}))
+    text = repr(value)
+    # Python's own representation has the object's address in it, which another run would not have.
+    named = "" if text.endswith(f" at {hex(id(value))}>") else text
+    return [f"{type(value).__module__}.{type(value).__qualname__}", named]
 
 
 def _shortened(value: Any) -> Any:

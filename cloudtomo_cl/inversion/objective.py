@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 # Relative variance, in typical ones, beyond which a pixel's weight follows it. Below, the modelled image's noise
 # counts as much; and standard errors come from the same samples as radiances: weights that follow them closely
-# favour pixels that are dark by chance (docs/estimators.md).
+# favour pixels that are dark by chance (docs/decisions/pixel-weights.md).
 _NOISY = 4.0
 # Standard error, in shares of m + m_rms, where none is known: that of a good camera.
 _UNKNOWN_ERROR = 0.01
-# Entries of a Jacobian that are squared at a time.
-_BLOCK = 1 << 24
 
 
 def relative_weights(measured: np.ndarray) -> np.ndarray:
@@ -97,16 +97,6 @@ class Gains:
         return residual - gains[self._view] * modelled
 
 
-def curvature_of(jacobian: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The diagonal of J^T W J: sum_d w_d J_dv^2, shape (voxels,); in blocks, for the sake of memory."""
-    curvature = np.zeros(jacobian.shape[1])
-    block = max(1, _BLOCK // len(curvature))
-    for first in range(0, len(jacobian), block):
-        here = slice(first, first + block)
-        curvature += weights[here].astype(np.float32) @ jacobian[here] ** 2
-    return curvature
-
-
 def noise_of(variance: np.ndarray, weights: np.ndarray) -> float:
     """What noise of the images alone adds to the data term on average: 1/2 sum_d w_d Var(m_d)."""
     return 0.5 * float(np.sum(weights * variance))
@@ -133,77 +123,77 @@ def cost_of_independent(
     return 0.5 * float(np.sum(weights * product)), 0.5 * float(np.sqrt(max(variance, noise / 3)))
 
 
-class LaggedResidual:
-    """Residuals that are independent of the paths whose derivative they multiply.
+@dataclass(frozen=True, eq=False)
+class AveragedImage:
+    """The modelled image, averaged over iterations: residuals that are independent of the paths that they multiply.
 
-    With memory 1, half A's derivative meets half B's residual and the reverse ("crossed
-    halves"). With a longer memory the modelled image is averaged over about that many
-    iterations: less noise in cost and gradient, but the residual lags while the extinction
-    moves. Usage in an iteration: `cost`, then `adjoint`, which remembers the image.
+    Before the first iteration, and with a window of 1, half A's derivative meets half B's residual and the reverse
+    ("crossed halves"). With a longer window there is less noise in cost and gradient, but the average lags while the
+    extinction moves, unless it is `moved` along.
 
-    Parameters
+    Attributes
     ----------
-    measured, weights : shape (pixels,)
-    memory : iterations, at least 1
-    gains : of the views; none: all exact
+    mean, variance : of the averaged radiances, W m^-2 sr^-1 and its square, shape (pixels,)
+    iterations : averaged so far
     """
 
-    def __init__(
-        self, measured: np.ndarray, weights: np.ndarray, memory: int = 1, gains: Gains | None = None
-    ) -> None:
-        self._gains = gains
-        self.measured = measured
-        self.weights = weights
-        self.memory = memory
-        self._mean = np.zeros_like(measured)
-        self._variance = np.zeros_like(measured)
-        self._iterations = 0
+    mean: np.ndarray
+    variance: np.ndarray
+    iterations: int = 0
 
-    def state(self) -> dict[str, np.ndarray]:
-        """What is remembered of the iterations so far."""
-        return {"mean": self._mean.copy(), "variance": self._variance.copy(), "iterations": np.array(self._iterations)}
+    @classmethod
+    def empty(cls, pixels: int) -> AveragedImage:
+        """Before the first iteration."""
+        return cls(np.zeros(pixels), np.zeros(pixels))
 
-    def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Goes on from what `state` gave."""
-        self._mean, self._variance = state["mean"].copy(), state["variance"].copy()
-        self._iterations = int(state["iterations"])
-
-    def _correct(self, residual: np.ndarray) -> np.ndarray:
-        # The remembered image: it has other paths than the residuals that it is taken from.
-        return residual if self._gains is None else self._gains(residual, self._mean)
-
-    def cost(self, halves: np.ndarray) -> tuple[float, float]:
-        """F and its standard error, from halves of shape (pixels, 2)."""
-        residuals = halves - self.measured[:, None]
+    def cost(
+        self, halves: np.ndarray, measured: np.ndarray, weights: np.ndarray, gains: Gains | None = None, window: int = 1
+    ) -> tuple[float, float]:
+        """F and its standard error, from halves of shape (pixels, 2) of paths that are not averaged yet."""
+        residuals = halves - measured[:, None]
         half_variance = (halves[:, 0] - halves[:, 1]) ** 2 / 2
-        if self.memory == 1 or self._iterations == 0:
-            first, second = residuals[:, 0], self._correct(residuals[:, 1])
-            return cost_of_independent(first, half_variance, second, half_variance, self.weights)
+        if window == 1 or self.iterations == 0:
+            first, second = residuals[:, 0], self._without_gains(residuals[:, 1], gains)
+            return cost_of_independent(first, half_variance, second, half_variance, weights)
         return cost_of_independent(
-            self._correct(self._mean - self.measured),
-            self._variance,
+            self._without_gains(self.mean - measured, gains),
+            self.variance,
             residuals.mean(axis=1),
             half_variance / 2,
-            self.weights,
+            weights,
         )
 
-    @property
-    def noise(self) -> float:
-        """What noise of the remembered image adds to the cost."""
-        return noise_of(self._variance, self.weights)
+    def adjoint(
+        self, halves: np.ndarray, measured: np.ndarray, weights: np.ndarray, gains: Gains | None = None, window: int = 1
+    ) -> np.ndarray:
+        """d F / d halves, shape (pixels, 2): that of each half depends on the other's paths and the average only."""
+        rate = self._rate(window)
+        other = (1.0 - rate) * self.mean[:, None] + rate * halves[:, ::-1]
+        corrected = np.column_stack([self._without_gains(half, gains) for half in (other - measured[:, None]).T])
+        return 0.5 * weights[:, None] * corrected
 
-    def move(self, change: np.ndarray) -> None:
-        """Takes the remembered image along: what the last step changed, by the tangent, shape (pixels,)."""
-        rate = 1.0 / min(self._iterations, self.memory)
-        self._mean += (1.0 - rate) * change
-
-    def adjoint(self, halves: np.ndarray) -> np.ndarray:
-        """d F / d halves, shape (pixels, 2); then remembers these halves."""
-        self._iterations += 1
-        rate = 1.0 / min(self._iterations, self.memory)
-        other = (1.0 - rate) * self._mean[:, None] + rate * halves[:, ::-1]
-        corrected = np.column_stack([self._correct(half) for half in (other - self.measured[:, None]).T])
-        self._mean += rate * (halves.mean(axis=1) - self._mean)
+    def with_halves(self, halves: np.ndarray, window: int = 1) -> AveragedImage:
+        """With one more iteration's halves in the average."""
+        rate = self._rate(window)
         variance = (halves[:, 0] - halves[:, 1]) ** 2 / 4
-        self._variance = (1.0 - rate) ** 2 * self._variance + rate**2 * variance
-        return 0.5 * self.weights[:, None] * corrected
+        return AveragedImage(
+            self.mean + rate * (halves.mean(axis=1) - self.mean),
+            (1.0 - rate) ** 2 * self.variance + rate**2 * variance,
+            self.iterations + 1,
+        )
+
+    def moved(self, change: np.ndarray, window: int = 1) -> AveragedImage:
+        """Taken along: what the last step changed radiances by, to first order, shape (pixels,)."""
+        share = 1.0 - 1.0 / min(self.iterations, window)
+        return AveragedImage(self.mean + share * change, self.variance, self.iterations)
+
+    def noise(self, weights: np.ndarray) -> float:
+        """What noise of the average adds to the cost."""
+        return noise_of(self.variance, weights)
+
+    def _rate(self, window: int) -> float:
+        return 1.0 / min(self.iterations + 1, window)
+
+    def _without_gains(self, residual: np.ndarray, gains: Gains | None) -> np.ndarray:
+        # The average multiplies gains: it has other paths than the residuals that it is taken from.
+        return residual if gains is None else gains(residual, self.mean)

@@ -1,4 +1,4 @@
-"""The pixels that a stage looks at, and what was measured there."""
+"""The active pixels of a problem, and what was measured there."""
 
 from __future__ import annotations
 
@@ -17,22 +17,25 @@ from cloudtomo_cl.scene.visibility import pixels_that_see
 
 
 @dataclass(frozen=True)
-class SeenPixels:
-    """Pixels that look at voxels of a mask.
+class ActivePixels:
+    """Valid pixels that look at voxels of a mask.
 
     Attributes
     ----------
     views : of the measurements
-    pixels : (view, row * width + column), uint32, shape (pixels, 2)
+    listed : (view, row * width + column), uint32, shape (pixels, 2)
     radiance, standard_error : as measured, W m^-2 sr^-1, shape (pixels,); errors are 0 where unknown
     calibration_errors : of the views' gains
     """
 
     views: tuple[View, ...]
-    pixels: np.ndarray
+    listed: np.ndarray
     radiance: np.ndarray
     standard_error: np.ndarray
     calibration_errors: tuple[float, ...]
+
+    def __len__(self) -> int:
+        return len(self.listed)
 
     @cached_property
     def level(self) -> np.ndarray:
@@ -40,7 +43,7 @@ class SeenPixels:
 
         Weights of a pixel's own radiance would be largest where noise has made it dark.
         """
-        return neighbours(self.views, self.pixels) @ self.radiance
+        return neighbours(self.views, self.listed) @ self.radiance
 
     @cached_property
     def weights(self) -> np.ndarray:
@@ -55,16 +58,16 @@ class SeenPixels:
     @property
     def unit(self) -> float:
         """The data term's: the mean of weight times variance, n of the prior."""
-        return 2 * noise_of(self.variance, self.weights) / len(self.pixels)
+        return 2 * noise_of(self.variance, self.weights) / len(self)
 
-    @property
+    @cached_property
     def gains(self) -> Gains:
         """Of the views, which their calibration leaves open."""
-        return Gains(self.weights, self.pixels[:, 0], self.calibration_errors, self.unit)
+        return Gains(self.weights, self.listed[:, 0], self.calibration_errors, self.unit)
 
 
-def seen_pixels(measurements: Measurements, grid: Grid, mask: np.ndarray) -> SeenPixels:
-    """Pixels that look at voxels of the mask and are not bad; the others teach little and cost as much.
+def active_pixels(measurements: Measurements, grid: Grid, mask: np.ndarray) -> ActivePixels:
+    """Pixels that look at voxels of the mask and are valid; the others teach little and cost as much.
 
     Raises
     ------
@@ -77,8 +80,8 @@ def seen_pixels(measurements: Measurements, grid: Grid, mask: np.ndarray) -> See
         radiance.append(measurements.images[index].ravel()[chosen])
         errors.append(measurements.standard_errors[index].ravel()[chosen])
     if not any(map(len, radiance)):
-        raise DataError("no good pixel of any view looks at the mask: check the views' positions and targets")
+        raise DataError("no valid pixel of any view looks at the mask: check the views' positions and targets")
     listed = np.concatenate(pixels).astype(np.uint32)
-    return SeenPixels(
+    return ActivePixels(
         measurements.views, listed, np.concatenate(radiance), np.concatenate(errors), measurements.calibration_errors
     )

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from dataclasses import dataclass as plain_dataclass
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.opencl.device import Device, device_errors
 from cloudtomo_cl.scene.scene import NotNegative, Positive
 
@@ -25,7 +28,7 @@ class Prior:
 
     A is the mean of a voxel's 26 neighbours minus itself; R_mon = -sum tanh(c1 Dz b) tanh(c2 b)
     over voxels with b > threshold, Dz the central difference along z from voxel to voxel.
-    Source: the supplement's Eqs. 20-23, with the gradient corrected (docs/estimators.md), and
+    Source: the supplement's Eqs. 20-23, with the gradient corrected (docs/explanation/derivatives.md), and
     the constants of the paper's released code.
 
     R_clear = sum b / (b + clear). It is ours: every voxel that holds cloud costs as much as its one
@@ -49,6 +52,122 @@ class Prior:
     threshold: Annotated[float, Field(ge=0)] = 0.01
     sparsity: NotNegative = 1.0
     clear: Positive = 3.0
+
+
+@runtime_checkable
+class Regulariser(Protocol):
+    """A prior of the user's own: minus the logarithm of a probability density of extinctions, up to a constant.
+
+    It is multiplied with the data term's unit, so that it need not know of images and their noise. An optional method
+    `curvature(extinction, voxels)`, the diagonal of its second derivative, km^2, shape (voxels,), scales Gauss-Newton's
+    inner minimisation.
+    """
+
+    def value_and_gradient(self, extinction: np.ndarray, voxels: Voxels) -> tuple[float, np.ndarray]:
+        """Value, and gradient in km, of an extinction in km^-1; both arrays have shape (voxels,)."""
+        ...
+
+
+@plain_dataclass(frozen=True)
+class NoiseUnits:
+    """What priors are multiplied with, for the data term is no logarithm: mean weighted variances of a pixel's noise.
+
+    Attributes
+    ----------
+    measured : n, of the measured images
+    both : N, of measured and modelled images
+    weight : the stage's factor of all that is multiplied with N
+    """
+
+    measured: float
+    both: float
+    weight: float = 1.0
+
+    @property
+    def weighted(self) -> float:
+        """The weight times N."""
+        return self.weight * self.both
+
+
+class BoundPrior(Protocol):
+    """A prior for the voxels of one stage."""
+
+    def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
+        """In the unit of the data term; arrays of shape (voxels,), float64."""
+        ...
+
+    def curvature(self, extinction: np.ndarray, units: NoiseUnits) -> np.ndarray | float:
+        """About the diagonal of the second derivative, or an upper bound of it: it only scales."""
+        ...
+
+    def smoothness(self, units: NoiseUnits) -> float:
+        """Weight of 1/2 ||A b||^2 in the cost; 0 if the prior is not made of it."""
+        ...
+
+
+def bound_prior(prior: Prior | Regulariser, voxels: Voxels, device: Device) -> BoundPrior:
+    """A prior for the voxels of one stage.
+
+    Raises
+    ------
+    DataError : it is neither a `Prior` nor has `value_and_gradient`
+    """
+    if isinstance(prior, Prior):
+        return DevicePrior(prior, voxels, device)
+    if not isinstance(prior, Regulariser):
+        raise DataError(
+            f"prior is a {type(prior).__name__}: give a Prior, or an object with "
+            "value_and_gradient(extinction, voxels) -> (value, gradient)"
+        )
+    return _OwnPrior(prior, voxels)
+
+
+class _OwnPrior:
+    """A regulariser of the user's, checked."""
+
+    def __init__(self, regulariser: Regulariser, voxels: Voxels) -> None:
+        self._regulariser = regulariser
+        self._voxels = voxels
+
+    def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
+        value, gradient = self._regulariser.value_and_gradient(extinction.copy(), self._voxels)
+        gradient = np.asarray(gradient, float)
+        name = type(self._regulariser).__name__
+        if gradient.shape != extinction.shape:
+            raise DataError(f"the gradient of the prior {name} has shape {gradient.shape}, not {extinction.shape}")
+        if not (np.isfinite(value) and np.isfinite(gradient).all()):
+            raise DataError(f"the prior {name} has a value or a gradient that is not finite")
+        return units.weighted * float(value), units.weighted * gradient
+
+    def curvature(self, extinction: np.ndarray, units: NoiseUnits) -> np.ndarray | float:
+        of_own = getattr(self._regulariser, "curvature", None)
+        if of_own is None:
+            return 0.0
+        curvature = np.asarray(of_own(extinction.copy(), self._voxels), float)
+        return units.weighted * np.maximum(np.broadcast_to(curvature, len(self._voxels)), 0.0)
+
+    def smoothness(self, units: NoiseUnits) -> float:
+        return 0.0
+
+
+class DevicePrior:
+    """`Prior` for the voxels of one stage, by the kernels of prior.cl."""
+
+    def __init__(self, prior: Prior, voxels: Voxels, device: Device) -> None:
+        self._prior = prior
+        self._voxels = voxels
+        self._operator = PriorOperator(prior, voxels.grid.shape, device)
+
+    def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
+        value, gradient = self._operator.of_array(self._voxels.on_grid(extinction), units.weighted, units.measured)
+        return value, gradient[self._voxels.mask].astype(float)
+
+    def curvature(self, extinction: np.ndarray, units: NoiseUnits) -> float:
+        prior = self._prior
+        return self.smoothness(units) * SMOOTHNESS_CURVATURE + units.measured * (prior.sparsity / prior.clear**2)
+
+    def smoothness(self, units: NoiseUnits) -> float:
+        return units.weighted * self._prior.smoothness
 
 
 class PriorOperator:
@@ -111,3 +230,10 @@ class PriorOperator:
             b = extinction.get().astype(float)
             value += noise * prior.sparsity * float(np.sum(b / (b + prior.clear)))
         return float(value), gradient
+
+    def of_array(self, extinction: np.ndarray, weight: float, noise: float) -> tuple[float, np.ndarray]:
+        """As `value_and_gradient`, of an array on the host; the gradient is on the host, too."""
+        value, gradient = self.value_and_gradient(
+            self._cl_array.to_device(self.device.queue, extinction), weight, noise
+        )
+        return value, gradient.get()

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.inversion.solvers.optimizer import Optimizer
 from cloudtomo_cl.scene.grid import Count, Grid
 from cloudtomo_cl.scene.scene import NotNegative
 
@@ -32,7 +31,7 @@ class Stage:
     grid : numbers of voxels along x, y, z
     pixels : width and height of the images, as a share of the measured ones
     samples : paths per pixel and iteration that derivatives are made of, even; by default so many
-        that an iteration has about 60,000 paths, with Gauss-Newton 45 for each voxel that may hold cloud
+        that an iteration has 45 for each voxel that may hold cloud with Gauss-Newton, 60,000 in a descent
     iterations : at most; the stage ends earlier when its cost has stopped falling
     window : the least number of iterations whose mean cost is compared with that of as many
         before
@@ -47,38 +46,36 @@ class Stage:
     prior_weight: NotNegative = 1.0
 
 
-def automatic_stages(grid: Grid, method: str = "gauss-newton", iterations: int | None = None) -> tuple[Stage, ...]:
+def automatic_stages(grid: Grid, solver: Any = None) -> tuple[Stage, ...]:
     """Stages that grow by a factor of about 1.8 from 6 voxels along the longest axis.
 
     An axis with fewer voxels than the longest stays in proportion, but has 4 voxels or all of
-    its own. Images have about two pixels per voxel, up to all that were measured. Gauss-Newton
-    (`method`, an `Optimizer.type`) needs few iterations, the descents many; `iterations` are those
-    of the last stage.
+    its own. Images have about two pixels per voxel, up to all that were measured. How many iterations a stage
+    has the solver says (`GaussNewton`, by default, needs few of them, descents many).
     """
+    limits = getattr(solver, "stage_limits", _stage_limits)
     longest = max(grid.shape)
     count = max(0, round(np.log(longest / _COARSEST) / np.log(_GROWTH))) + 1
     shares = np.minimum((_COARSEST / longest) ** np.linspace(1, 0, count), 1.0) if count > 1 else np.ones(1)
     stages = []
     for share in shares:
         nx, ny, nz = (min(n, max(4, round(n * share))) for n in grid.shape)
-        last = share == shares[-1]
-        pixels = min(1.0, 2 * share)
-        if method == "gauss-newton":
-            most, window = (30, 30) if last else (4, 20)
-        else:
-            # The last stage has the details to find, which show little in the cost: it is not given up early.
-            most, window = (600, 200) if last else (100, 20)
-        if last and iterations is not None:
-            most = iterations
-        stages.append(Stage(grid=(nx, ny, nz), pixels=pixels, iterations=most, window=window))
+        iterations, window = limits(share == shares[-1])
+        stages.append(Stage(grid=(nx, ny, nz), pixels=min(1.0, 2 * share), iterations=iterations, window=window))
     return tuple(stages)
 
 
-def stages_of(grid: Grid, stages: Sequence[Stage] | None, optimizer: Optimizer) -> tuple[Stage, ...]:
+def _stage_limits(last: bool) -> tuple[int, int]:
+    from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
+
+    return GaussNewton().stage_limits(last)
+
+
+def stages_of(grid: Grid, stages: Sequence[Stage] | None, solver: Any) -> tuple[Stage, ...]:
     """Those given, or automatic ones. DataError if it is not clear which iterations count."""
-    if stages and optimizer.iterations is not None:
-        raise DataError("optimizer.iterations is for automatic stages: give those of each [[stage]], or no [[stage]]")
-    return tuple(stages or automatic_stages(grid, optimizer.type, optimizer.iterations))
+    if stages and getattr(solver, "iterations", None) is not None:
+        raise DataError("solver.iterations is for automatic stages: give those of each [[stage]], or no [[stage]]")
+    return tuple(stages or automatic_stages(grid, solver))
 
 
 def has_settled(costs: Sequence[float], standard_errors: Sequence[float], window: int) -> bool:

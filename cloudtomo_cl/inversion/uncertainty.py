@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cloudtomo_cl.inversion.objective import curvature_of
+from cloudtomo_cl.inversion.linear_model import Jacobian
 from cloudtomo_cl.inversion.priors import SMOOTHNESS_CURVATURE
 
 # Of the conjugate gradients between two looks at the bounds: at most, and the residual relative to the right side
@@ -26,7 +26,7 @@ def roughness(extinction: np.ndarray) -> np.ndarray:
 
 
 def standard_errors(
-    jacobian: np.ndarray,
+    jacobian: Jacobian,
     weights: np.ndarray,
     noise: Callable[[np.random.Generator], np.ndarray],
     correct: Callable[[np.ndarray], np.ndarray],
@@ -47,7 +47,7 @@ def standard_errors(
 
     Parameters
     ----------
-    jacobian : float32, shape (pixels, voxels of the mask)
+    jacobian : shape (pixels, voxels of the mask)
     weights : of the squared residuals, shape (pixels,)
     noise : draws noise of the images, shape (pixels,)
     correct : what is left of residuals, `Gains`, shape (pixels,)
@@ -64,7 +64,7 @@ def standard_errors(
     km^-1, shape (voxels of the mask,)
     """
     random = np.random.default_rng([seed, draws])
-    curvature = curvature_of(jacobian, weights)
+    curvature = jacobian.curvature(weights)
     scale = 1 / (curvature + smoothness * SMOOTHNESS_CURVATURE + LEAST_CURVATURE * curvature.mean())
 
     def stiffness(column: np.ndarray) -> np.ndarray:
@@ -75,16 +75,16 @@ def standard_errors(
 
     def product(values: np.ndarray) -> np.ndarray:
         """The model's second derivative times the columns."""
-        changed = jacobian @ values.astype(np.float32)
+        changed = jacobian.matmat(values)
         force = np.column_stack([weights * correct(column) for column in changed.T])
         held = np.column_stack([stiffness(column) for column in values.T])
-        return jacobian.T @ force.astype(np.float32) + smoothness * held
+        return jacobian.rmatmat(force) + smoothness * held
 
     right = np.zeros((len(curvature), draws + 1))  # the last one has no noise
     for draw in range(draws):
         force = weights * correct(noise(random))
         of_prior = roughness(random.standard_normal(mask.shape))[mask]
-        right[:, draw] = force.astype(np.float32) @ jacobian + np.sqrt(smoothness * unit) * of_prior
+        right[:, draw] = jacobian.rmatvec(force) + np.sqrt(smoothness * unit) * of_prior
     found = bounded_minimum(product, right - gradient[:, None], scale[:, None], -estimate[:, None])
     return np.sqrt(np.mean((found[:, :-1] - found[:, -1:]) ** 2, axis=1))
 

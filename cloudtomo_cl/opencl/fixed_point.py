@@ -30,5 +30,5 @@ def require_sums(sums: np.ndarray, what: str, axes: str) -> None:
         raise TransportError(
             f"{what} has left the range of its 64-bit sums, or something that is no number was added to it, at {axes} "
             f"{place}: the optics are extreme (extinction near 0 where light scatters, a very sharp phase function), "
-            "or the device is at fault; use fewer paths at a time, a larger optimizer.floor, or another device"
+            "or the device is at fault; use fewer paths at a time, a larger solver.floor, or another device"
         )

@@ -12,22 +12,6 @@ from pydantic import ValidationError
 _MOST_MISTAKES = 50
 
 
-# Control characters, of which a terminal makes colours, titles and worse; the end of a line and the tab stay.
-_CONTROLS = {code: f"\\x{code:02x}" for code in (*range(9), *range(11, 32), 127, *range(128, 160))}
-
-
-def printable(text: str, encoding: str | None = None) -> str:
-    """A text that a terminal shows and does not obey: control characters, as files may have them, are spelt out.
-
-    Parameters
-    ----------
-    text : for people, with names and words that may come from files
-    encoding : of the terminal; what it does not have is spelt out, too
-    """
-    text = text.translate(_CONTROLS)
-    return text.encode(encoding, "backslashreplace").decode(encoding) if encoding else text
-
-
 def error_text(file: str, lines: list[str]) -> str:
     return "\n".join(f"{file}: {line}" for line in lines)
 
@@ -70,6 +54,9 @@ def _message(entry: Any, key: str, schema: dict[str, Any]) -> str:
     kind, value = entry["type"], entry["input"]
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         allowed = sorted(_allowed_keys(schema, entry["loc"][:-1]))
+        others = _types_with_key(schema, entry["loc"])
+        if others:
+            return f"is no key of type {entry['loc'][-2]!r}, but of {' and '.join(map(repr, others))}"
         nearest = difflib.get_close_matches(str(entry["loc"][-1]), allowed, n=1)
         hint = f": did you mean {nearest[0]}?" if nearest else ""
         return f"is no known key{hint} (allowed: {', '.join(allowed)})"
@@ -110,6 +97,20 @@ def _allowed_keys(schema: dict[str, Any], location: tuple[int | str, ...]) -> li
             node = node["properties"][part]
         node = _resolved(node, schema)
     return list(node["properties"])
+
+
+def _types_with_key(schema: dict[str, Any], location: tuple[int | str, ...]) -> list[str]:
+    """Other types of the table that a key was given in, which have this key."""
+    node = _resolved(schema, schema)
+    for part in location[:-1]:
+        if "discriminator" in node:
+            if part != location[-2]:
+                node = _resolved({"$ref": node["discriminator"]["mapping"][part]}, schema)
+                continue
+            kinds = {kind: _resolved({"$ref": ref}, schema) for kind, ref in node["discriminator"]["mapping"].items()}
+            return [kind for kind, table in kinds.items() if kind != part and location[-1] in table["properties"]]
+        node = _resolved(node["items"] if isinstance(part, int) else node["properties"][part], schema)
+    return []
 
 
 def _resolved(node: dict[str, Any], schema: dict[str, Any]) -> dict[str, Any]:

@@ -29,7 +29,8 @@ from cloudtomo_cl.errors import DataError, SettingsError
 from cloudtomo_cl.files.phase import read_phase_function
 from cloudtomo_cl.files.text import read_text
 from cloudtomo_cl.inversion.priors import Prior
-from cloudtomo_cl.inversion.solvers.optimizer import Optimizer
+from cloudtomo_cl.inversion.solvers.choice import SolverTable
+from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.inversion.stages import Stage
 from cloudtomo_cl.scene.formations import RingOfViews, StringOfScans, StringOfViews
 from cloudtomo_cl.scene.grid import Grid
@@ -45,6 +46,7 @@ from cloudtomo_cl.scene.sensors import (
     View,
 )
 from cloudtomo_cl.settings.messages import error_text, lines_of
+from cloudtomo_cl.settings.old_keys import refuse_old_keys
 from cloudtomo_cl.settings.overrides import with_overrides
 from cloudtomo_cl.settings.stored import scene_of_tables
 
@@ -219,7 +221,7 @@ class ReconstructSettings(BaseModel):
     view: ViewTables | None = None
     stage: Annotated[tuple[Stage, ...], Field(min_length=1)] | None = None
     prior: Prior = Prior()
-    optimizer: Optimizer = Optimizer()
+    solver: SolverTable = GaussNewton()
     run: Run = Run()
 
     def scene(self, stored: dict[str, Any]) -> Scene:
@@ -272,6 +274,7 @@ def read_reconstruct_settings(path: str | Path, overrides: Sequence[str] = ()) -
         raise SettingsError(
             f"{path}: cloud.file is not read by a reconstruction; to compare with a known cloud write [truth] file"
         )
+    refuse_old_keys(path, tables)
     return _check(path, tables, ReconstructSettings)
 
 
@@ -285,7 +288,8 @@ def repeated_reconstruct_settings(
     tables = stored.get("reconstruct")
     if not isinstance(tables, dict):
         raise SettingsError(f"{path}: keeps no settings of a reconstruction: give a run file, or a reconstruction.nc")
-    kept = {name: tables[name] for name in ("stage", "prior", "optimizer", "run") if tables.get(name) is not None}
+    refuse_old_keys(path, tables)
+    kept = {name: tables[name] for name in ("stage", "prior", "solver", "run") if tables.get(name) is not None}
     if not isinstance(kept.setdefault("run", {}), dict):
         raise SettingsError(f"{path}: its attribute settings stores run = {kept['run']!r:.60}: it must be a table")
     kept["run"] = {**kept["run"], "seed": stored.get("seed", 0)}

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.memory import require, require_jacobian
 from cloudtomo_cl.opencl.fixed_point import require_sums
 from cloudtomo_cl.opencl.layout import FIELD_UNIT
+from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.phase import PhaseFunction
 from cloudtomo_cl.scene.pixels import neighbours
 from cloudtomo_cl.transport.radiance import FIXED_POINT_SCALE, RadianceOperator, Rendering
@@ -36,8 +36,8 @@ _POINTS = 12
 # A cell with less than so many crossings of a voxel leans on its neighbours'; one without any
 # neighbour on the mean of all voxels.
 _OWN_CROSSINGS, _NEIGHBOUR_CROSSINGS = 5.0, 0.05
-# The table with what is added to it, on host and device, and what smoothing it takes.
-_BYTES_PER_CELL = 60
+# The table on the device, with what is added to it; on the host, and what smoothing it takes.
+_BYTES_PER_CELL, _HOST_BYTES_PER_CELL = 20, 40
 # Kernels count the table's entries with signed integers of 32 bits.
 _MOST_CELLS = 2**31 - 1
 # Entries of the Jacobian that a device makes at a time.
@@ -47,6 +47,17 @@ _COLUMNS = 2048
 # After so many gradients the table is made anew, and what it held before fades.
 _FADING = 0.7
 _REFRESH = 4
+
+
+def table_footprint(voxels: int) -> Footprint:
+    """What a `RadianceField` of so many voxels takes."""
+    return Footprint(_BYTES_PER_CELL * voxels * BINS, 16 * voxels * BINS, _HOST_BYTES_PER_CELL * voxels * BINS)
+
+
+def jacobian_footprint(pixels: int, voxels: int) -> Footprint:
+    """What `RadianceField.jacobian` takes: an average and what is added to it, and a block of rows on the device."""
+    rows = 8.0 * max(_BLOCK, voxels)
+    return Footprint(rows, rows / 2, 2 * 4.0 * pixels * voxels)
 
 
 class RadianceField:
@@ -77,15 +88,15 @@ class RadianceField:
         device, mask = operator.device, operator.mask
         self._mask = mask
         self.columns = int(mask.sum())
-        require(
-            _BYTES_PER_CELL * self.columns * BINS,
-            f"the radiance field of {self.columns} voxels",
-            'choose a smaller mask or grid, or optimizer.gradient = "replay"',
+        table_footprint(self.columns).require(
+            device,
+            f"the radiance table of {self.columns} voxels",
+            'choose a smaller mask or grid, or solver.gradient = "replay"',
         )
         if 2 * self.columns * BINS > _MOST_CELLS:
             raise DataError(
-                f"the radiance field of {self.columns} voxels is more than kernels count: choose a smaller mask or "
-                'grid, or optimizer.gradient = "replay"'
+                f"the radiance table of {self.columns} voxels is more than kernels count: choose a smaller mask or "
+                'grid, or solver.gradient = "replay"'
             )
         column = np.full(mask.shape, -1, np.int32)
         column[mask] = np.arange(self.columns)
@@ -152,7 +163,11 @@ class RadianceField:
         AuditError, TransportError : as `RadianceOperator.gradient`
         """
         operator, pixels = self._operator, len(self._operator.pixels)
-        require_jacobian(pixels, self.columns)
+        jacobian_footprint(pixels, self.columns).require(
+            operator.device,
+            f"the derivatives of {pixels} pixels with respect to {self.columns} voxels",
+            'choose fewer pixels, a coarser [grid] or [[stage]], or solver.type = "adam", which keeps none',
+        )
         nothing = self._array.zeros(operator.device.queue, operator.scene.grid.shape, np.float32)
         if self._gradients == 0:
             self._walk(rendering, np.zeros((pixels, 2)), nothing)
@@ -183,14 +198,14 @@ class RadianceField:
             mean[:, start : start + _COLUMNS] += pool @ later[:, start : start + _COLUMNS]
         return mean
 
-    def state(self) -> dict[str, np.ndarray]:
+    def arrays(self) -> dict[str, np.ndarray]:
         """All that a gradient changes, as arrays on the host."""
         arrays = {"field": self._field, "scattered": self._scattered, "sunlight": self._sunlight}
         own = {"table": self._table.copy(), "gradients": np.array(self._gradients)}
         return own | {name: array.get() for name, array in arrays.items()}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Goes on from what `state` gave."""
+        """Goes on from what `arrays` gave."""
         self._table = state["table"].copy()
         self._gradients = int(state["gradients"])
         for name, array in (("field", self._field), ("scattered", self._scattered), ("sunlight", self._sunlight)):

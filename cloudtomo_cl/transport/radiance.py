@@ -10,10 +10,11 @@ from typing import Any, Literal
 import numpy as np
 
 from cloudtomo_cl.errors import DataError, TransportError
-from cloudtomo_cl.memory import require_rendering
+from cloudtomo_cl.memory import require_countable, shape_text, voxels_of
 from cloudtomo_cl.opencl.device import Device, Pace, choose_device, device_errors
 from cloudtomo_cl.opencl.fixed_point import require_sums
 from cloudtomo_cl.opencl.layout import MOST_SAMPLES, STRUCTS, ray_array, view_structs
+from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.pixels import all_pixels
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.sensors import View
@@ -31,6 +32,8 @@ FIXED_POINT_SCALE = 2.0**32
 # that a pixel sums up, and that it walks, of some hundred rounds each.
 _LONGEST_SUM = 1 << 15
 _PATHS_OF_ITEM = 32
+# On the device: extinction and what skips empty blocks; sums; stored paths. On the host: what sums become.
+_BYTES_PER_VOXEL, _BYTES_PER_PIXEL, _BYTES_PER_PATH, _HOST_BYTES_PER_PIXEL = 8, 48, 4, 160
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,7 @@ class RadianceOperator:
     mask : bool, shape of the grid, where there may be droplets. Elsewhere every extinction must be 0
         and gradients mean nothing, for walks skip what is clear; by default everywhere
 
-    Source: the supplement's Eqs. 1-19; docs/estimators.md.
+    Source: the supplement's Eqs. 1-19; docs/explanation/radiance.md.
 
     Raises
     ------
@@ -143,7 +146,7 @@ class RadianceOperator:
             "side-flights" if scene.cloud.phase_function.g >= 0.5 else "plain"
         )
         if pixels is None:
-            require_rendering(self.device, scene.grid.shape, self.views)
+            _require_memory(self.device, scene.grid.shape, sum(voxels_of(view.pixels) for view in self.views))
         self.pixels = all_pixels(self.views) if pixels is None else np.ascontiguousarray(pixels, np.uint32)
         self._cl = cl
         self._array = pyopencl.array
@@ -339,6 +342,20 @@ class RadianceOperator:
             chosen = self.pixels[:, 0] == index
             image[self.pixels[chosen, 1]] = values[chosen]
         return [image.reshape(view.pixels[1], view.pixels[0]) for image, view in zip(images, self.views)]
+
+
+def footprint(voxels: int, pixels: int, stored_paths: int = 0) -> Footprint:
+    """What a `RadianceOperator` takes to render a grid: counted over arrays that live at the same time, rounded up."""
+    device = _BYTES_PER_VOXEL * voxels + _BYTES_PER_PIXEL * pixels + _BYTES_PER_PATH * stored_paths
+    largest = max(_BYTES_PER_VOXEL // 2 * voxels, _BYTES_PER_PIXEL // 2 * pixels)
+    return Footprint(device, largest, _HOST_BYTES_PER_PIXEL * pixels)
+
+
+def _require_memory(device: Device, shape: tuple[int, ...], pixels: int) -> None:
+    """DataError or DeviceError if there is not memory enough, or there is more than kernels count."""
+    what = f"rendering {pixels} pixels of {shape_text(shape)} voxels"
+    require_countable(voxels_of(shape), pixels, what)
+    footprint(voxels_of(shape), pixels).require(device, what, "choose fewer pixels or voxels")
 
 
 def pooled(first: Rendering, second: Rendering) -> Rendering:

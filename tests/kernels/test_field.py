@@ -68,7 +68,8 @@ def test_gradients_are_close_to_the_score_functions(device, scene):
 
 def test_clear_voxels_get_a_gradient_of_the_right_sign_and_order(device):
     """Where the score function has none. Beside a cloud the table knows the light from few directions only, and the
-    gradient is too large (docs/estimators.md): between half and twice the finite difference, summed over them."""
+    gradient is too large (docs/measurements/derivatives.md): between half and twice the finite difference, summed
+    over them."""
     scene, values, mask = SCENES["overhead sun"], extinction(), np.ones(GRID.shape, bool)
     operator = RadianceOperator(scene, VIEWS, device, mask=mask)
     clear = values == 0

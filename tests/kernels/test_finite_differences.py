@@ -1,8 +1,8 @@
 """Every gradient against finite differences, of one cloud on coarse, middle and fine voxels.
 
 Both sides of a difference have the same random numbers. The replayed gradient is unbiased: what it differs
-by must be noise. Those by the field of radiance are biased by the cells of its table (docs/estimators.md):
-how much is stated with each test.
+by must be noise. Those by the field of radiance are biased by the cells of its table
+(docs/measurements/derivatives.md): how much is stated with each test.
 """
 
 from dataclasses import replace

@@ -125,7 +125,7 @@ def test_gradients_are_those_of_finite_differences(device, scene, estimator):
     leaves an error of (step x length)^2 / 6, at most 2 % of the derivative, inside the
     standard errors; most derivatives here are 10 to 50 standard errors large.
 
-    Where the extinction is 0 this gradient has no collision term (docs/estimators.md), so
+    Where the extinction is 0 this gradient has no collision term (docs/explanation/derivatives.md), so
     empty voxels are left out.
     """
     operator = RadianceOperator(scene, VIEWS, device, estimator=estimator)

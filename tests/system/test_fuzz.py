@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cloudtomo_cl.commands import reconstruct as commands
+from cloudtomo_cl.commands import fluxes, modelled, reconstruction, rendering
 from cloudtomo_cl.report import plots
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "fuzz.py"
@@ -17,9 +17,9 @@ def bench(tmp_path, monkeypatch):
     fuzz = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(fuzz)
     # What the bench puts in their place is taken back afterwards.
-    for name in ("choose_device", "report", "_MODELLED_PATHS"):
-        monkeypatch.setattr(commands, name, getattr(commands, name))
-    monkeypatch.setattr(plots, "save_figures", plots.save_figures)
+    places = [(module, "choose_device") for module in (fluxes, reconstruction, rendering)]
+    for module, name in [*places, (reconstruction, "make_report"), (modelled, "PATHS"), (plots, "save_figures")]:
+        monkeypatch.setattr(module, name, getattr(module, name))
     return fuzz.Bench(tmp_path)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import cloudtomo_cl as ct
 from cloudtomo_cl.errors import DataError, TransportError
-from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
+from cloudtomo_cl.inversion.run import Run
 
 STAGES = (
     ct.Stage(grid=(4, 4, 4), pixels=0.5, samples=32, iterations=4),
@@ -71,24 +71,24 @@ def test_a_time_limit_ends_the_run_with_a_result(problem, device):
 def test_no_iteration_begins_that_would_end_after_the_time_limit(
     problem, device, monkeypatch, time_limit, iterations
 ):
-    clock, iterate = [0.0], GaussNewton.iterate
+    clock, step = [0.0], ct.GaussNewton.step
 
-    def of_ten_seconds(*arguments):
+    def of_ten_seconds(*arguments, **keywords):
         clock[0] += 10.0
-        return iterate(*arguments)
+        return step(*arguments, **keywords)
 
-    monkeypatch.setattr(GaussNewton, "iterate", of_ten_seconds)
-    monkeypatch.setattr("cloudtomo_cl.inversion.reconstruct._Run.seconds", property(lambda run: clock[0]))
+    monkeypatch.setattr(ct.GaussNewton, "step", of_ten_seconds)
+    monkeypatch.setattr(Run, "seconds", property(lambda run: clock[0]))
     stages = [replace(STAGES[0], iterations=3)]
     result = recover(problem, device, stages=stages, time_limit=time_limit)
     assert len(result.history) == iterations
     assert result.timed_out == (iterations < 3)
 
 
-@pytest.mark.parametrize("method", ["gauss-newton", "adam"])
-def test_what_bad_pixels_held_changes_no_bit(problem, device, method):
+@pytest.mark.parametrize("solver", [ct.GaussNewton(), ct.Adam()], ids=lambda solver: solver.type)
+def test_what_bad_pixels_held_changes_no_bit(problem, device, solver):
     scene, measurements, truth = problem
-    options = {"optimizer": ct.Optimizer(type=method), "stages": STAGES[:1]}
+    options = {"solver": solver, "stages": STAGES[:1]}
     recovered = []
     for error in (np.nan, 0.0, 1e9):
         images = tuple(image.copy() for image in measurements.images)
@@ -162,7 +162,7 @@ def test_no_standard_error_is_made_up(problem, device, reason):
     if reason == "unknown noise":
         measurements = replace(measurements, standard_errors=tuple(0 * e for e in measurements.standard_errors))
     elif reason == "adam":
-        options |= {"optimizer": ct.Optimizer(type="adam")}
+        options |= {"solver": ct.Adam()}
     elif reason == "not asked for":
         options["uncertainty"] = 0
     else:
@@ -181,18 +181,19 @@ def test_a_mask_of_another_shape_is_refused(problem, device):
 
 
 def test_a_descent_that_runs_away_is_stopped(problem, device):
-    optimizer = ct.Optimizer(type="sgd", step=1e9, variable="extinction")
-    with pytest.raises(TransportError, match="diverged in stage 0.*smaller step"):
-        recover(problem, device, optimizer=optimizer)
+    solver = ct.SGD(step_size=1e9, parametrisation="extinction")
+    with pytest.raises(TransportError, match="diverged in stage 0.*smaller step_size"):
+        recover(problem, device, solver=solver)
 
 
 def test_plain_gradient_descent_lowers_the_cost(problem, device):
     """The source's own descent: SGD in the extinction, residuals from crossed halves."""
     stages = (ct.Stage(grid=(4, 4, 4), pixels=0.5, samples=1024, iterations=20),)
-    optimizer = ct.Optimizer(
-        type="sgd", step=20.0, variable="extinction", image_memory=1, averaging=1, start=2.0, halving=None
-    )
-    history = recover(problem, device, optimizer=optimizer, stages=stages).history
+    solver = ct.SGD(
+        step_size=20.0, parametrisation="extinction", image_average_window=1, iterate_average_window=1, start=2.0,
+        step_half_life=None,
+    )  # fmt: skip
+    history = recover(problem, device, solver=solver, stages=stages).history
     last = [record.cost for record in history[-5:]]
     error = np.sqrt(sum(record.cost_standard_error**2 for record in history[-5:])) / 5
     # 4 standard errors: a significance of 3e-5.
@@ -217,5 +218,5 @@ def test_lists_of_rays_take_part_in_every_stage(problem, device):
 @pytest.mark.parametrize("name", ["start", "floor"])
 def test_a_start_that_light_never_leaves_is_refused(problem, device, name):
     """Its first render would never end."""
-    with pytest.raises(DataError, match=f"optimizer.{name} is 1e.308 km.-1"):
-        recover(problem, device, optimizer=ct.Optimizer(**{name: 1e308}))
+    with pytest.raises(DataError, match=f"solver.{name} is 1e.308 km.-1"):
+        recover(problem, device, solver=ct.Adam(**{name: 1e308}))

@@ -39,7 +39,9 @@ def problem(device):
 def recover(problem, device, **options):
     scene, measurements, truth = problem
     return ct.reconstruct(
-        scene, measurements, **{"stages": STAGES, "device": device, "truth": truth, "seed": 2, **options}
+        scene,
+        measurements,
+        **{"stages": STAGES, "mask": np.ones(truth.shape, bool), "device": device, "truth": truth, "seed": 2, **options}
     )
 
 
@@ -48,20 +50,21 @@ def timeless(history):
 
 
 @pytest.mark.parametrize(
-    "optimizer",
+    "solver",
     [
-        ct.Optimizer(image_samples=2),
-        ct.Optimizer(type="adam"),
-        ct.Optimizer(
-            type="sgd", gradient="replay", step=1.0, variable="extinction", image_memory=1, averaging=1
+        ct.GaussNewton(image_samples=2),
+        ct.Adam(),
+        ct.SGD(
+            gradient="replay", step_size=1.0, parametrisation="extinction", image_average_window=1,
+            iterate_average_window=1,
         ),
     ],
-    ids=["gauss-newton", "adam by the field", "sgd by replay"],
+    ids=["gauss-newton", "adam by the adjoint", "sgd by replay"],
 )
-def test_every_checkpoint_leads_to_the_same_bits(problem, device, optimizer, monkeypatch):
+def test_every_checkpoint_leads_to_the_same_bits(problem, device, solver, monkeypatch):
     monkeypatch.setattr("cloudtomo_cl.inversion.checkpoint._LEAST_WORK", 0.0)
     taken = []
-    options = {"optimizer": optimizer, "uncertainty": 3}
+    options = {"solver": solver, "uncertainty": 3}
     whole = recover(problem, device, **options, checkpoint=taken.append, checkpoint_interval=0.0)
     assert len(taken) == 9
     for checkpoint in taken:
@@ -232,7 +235,7 @@ def test_a_finished_run_may_be_resumed(folder):
         ({"--seed": "3"}, "seed is 3, the checkpoint's is 2"),
         ({"toml": ("samples = 8", "samples = 16")}, r"stage[0].samples is 16, the checkpoint's is 8"),
         ({"more": ["--overwrite"]}, "give one of them"),
-        ({"more": ["--set", "optimizer.iterations=9"]}, "optimizer.iterations is for automatic stages"),
+        ({"more": ["--set", "solver.iterations=9"]}, "solver.iterations is for automatic stages"),
         ({"damage": True}, "checkpoint.npz: is no checkpoint, or damaged"),
     ],
 )
@@ -262,7 +265,7 @@ def test_a_gradient_that_is_no_number_names_its_voxel(problem, device, monkeypat
 
     monkeypatch.setattr(RadianceField, "gradient", spoilt)
     with pytest.raises(TransportError, match=r"gradient is not finite at voxel \(1, 2, 0\).*stage 0, iteration 0"):
-        recover(problem, device, optimizer=ct.Optimizer(type="adam"))
+        recover(problem, device, solver=ct.Adam())
 
 
 def test_a_derivative_that_is_no_number_is_not_passed_over(problem, device, monkeypatch):

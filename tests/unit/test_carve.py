@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.inversion import carving
 from cloudtomo_cl.inversion.carving import carve, cloudy_pixels
+from cloudtomo_cl.scene import visibility
 from cloudtomo_cl.scene.grid import Grid, coarsened
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
@@ -147,7 +147,7 @@ def test_pieces_of_the_domain_are_put_together_right(monkeypatch):
     arguments = images([view], [(0, 9, 9), (0, 10, 12)])
     whole = carve(GRID, *arguments)
     assert 0 < whole.sum() < whole.size
-    monkeypatch.setattr(carving, "_CORNERS_AT_ONCE", 1)
+    monkeypatch.setattr(visibility, "_CORNERS_AT_ONCE", 1)
     np.testing.assert_array_equal(carve(GRID, *arguments), whole)
 
 

@@ -15,7 +15,7 @@ from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, read_chec
 def some_checkpoint(**changes):
     state = {"descent.mean": np.arange(6, dtype=np.float32).reshape(1, 2, 3) / 7, "mask": np.ones((1, 2, 3), bool)}
     fields = {
-        "identity": {"seed": 3, "optimizer": {"step": 0.1}, "stage": [{"grid": [4, 4, 4]}], "mask": "sha256:ab"},
+        "identity": {"seed": 3, "solver": {"step_size": 0.1}, "stage": [{"grid": [4, 4, 4]}], "mask": "sha256:ab"},
         "device": "a device",
         "stage": 1,
         "iterations": 7,
@@ -137,7 +137,7 @@ def test_an_absent_checkpoint_is_named(tmp_path):
     ("change", "text"),
     [
         ({"seed": 4}, "seed is 4, the checkpoint's is 3"),
-        ({"optimizer": {"step": 0.2}}, r"optimizer.step is 0.2, the checkpoint's is 0.1"),
+        ({"solver": {"step_size": 0.2}}, r"solver.step_size is 0.2, the checkpoint's is 0.1"),
         ({"stage": [{"grid": [4, 4, 5]}]}, r"stage\[0\].grid\[2\] is 5, the checkpoint's is 4"),
         ({"stage": []}, r"stage is \[\], the checkpoint's is \[.*4, 4, 4"),
         ({"mask": "sha256:cd"}, "mask holds other numbers than the checkpoint's"),

@@ -8,7 +8,8 @@ from pydantic import TypeAdapter, ValidationError
 from cloudtomo_cl.errors import DataError, SettingsError
 from cloudtomo_cl.files.phase import write_phase_function
 from cloudtomo_cl.inversion.priors import Prior
-from cloudtomo_cl.inversion.solvers.optimizer import Optimizer
+from cloudtomo_cl.inversion.solvers.descent import SGD, Adam
+from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.inversion.stages import Stage
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.phase import DoubleHenyeyGreenstein, HenyeyGreenstein, PhaseFunction, TabulatedPhaseFunction
@@ -149,7 +150,7 @@ def test_whole_numbers_are_numbers(folder):
 
 def test_smallest_run_has_the_defaults_of_the_api(folder):
     settings = read_run(folder, RUN)
-    assert (settings.stage, settings.prior, settings.optimizer, settings.run.seed) == (None, Prior(), Optimizer(), 0)
+    assert (settings.stage, settings.prior, settings.solver, settings.run.seed) == (None, Prior(), GaussNewton(), 0)
 
 
 def test_run_takes_the_stored_scene(folder):
@@ -209,7 +210,7 @@ WRONG_SCENES = {
     ),
     "one table for a list": ("[[view]]", "[view]", "view must be a list of tables: write [[view]]"),
     "no such file": ("cloud.nc", "clod.nc", "cloud.file is wrong: there is no file"),
-    "tables of a run": ("[sun]", "[optimizer]\n[sun]", "optimizer is no known key (allowed: air, boundary"),
+    "tables of a run": ("[sun]", "[solver]\n[sun]", "solver is no known key (allowed: air, boundary"),
     "unknown phase function": (
         'file = "cloud.nc"',
         'file = "cloud.nc"\nphase_function = { type = "mie", g = 0.5 }',
@@ -310,8 +311,21 @@ def test_the_cloud_itself_is_no_setting_of_a_reconstruction(folder):
     ("text", "message"),
     [
         ("", "measurements is missing"),
-        (RUN + "[optimizer]\ntyp = 'adam'\n", "optimizer.typ is no known key: did you mean type?"),
-        (RUN + "[optimizer]\ntype = 'adams'\n", "optimizer.type must be 'gauss-newton', 'adam' or 'sgd', is \"adams\""),
+        (RUN + "[solver]\ntyp = 'adam'\n", "solver.typ is no known key: did you mean type?"),
+        (RUN + "[solver]\ntype = 'adams'\n", "solver has type 'adams': allowed are 'gauss-newton', 'adam', 'sgd'"),
+        (RUN + "[solver]\nbeta1 = 0.5\n", "solver.beta1 is no key of type 'gauss-newton', but of 'adam'"),
+        (
+            RUN + "[solver]\ntype = 'sgd'\ndamping = 0.5\n",
+            "solver.damping is no key of type 'sgd', but of 'gauss-newton'",
+        ),
+        (
+            RUN + "[solver]\nstep_size = 0.5\n",
+            "solver.step_size is no key of type 'gauss-newton', but of 'adam' and 'sgd'",
+        ),
+        (RUN + "[optimizer]\ntype = 'adam'\n", "[optimizer] is now [solver]"),
+        (RUN + "[optimizer]\nhalving = 3.0\n", "optimizer.halving is now solver.step_half_life"),
+        (RUN + "[solver]\ntype = 'adam'\nstep = 3.0\n", "solver.step is now solver.step_size"),
+        (RUN + "[solver]\ntype = 'adam'\ngradient = 'field'\n", 'solver.gradient "field" is now'),
         (RUN + "[run]\ntime_limit = 0\n", "run.time_limit must be greater than 0, is 0"),
         (RUN + "[run]\nseed = -1\n", "run.seed must be greater than or equal to 0, is -1"),
         (RUN + "[[stage]]\nsamples = 16\n", "stage[0].grid is missing"),
@@ -325,7 +339,7 @@ def test_wrong_run_is_named(folder, text, message):
 @pytest.mark.parametrize(
     "table",
     [Grid, Sun, Cloud, Air, Surface, Boundary, Scene, HenyeyGreenstein, DoubleHenyeyGreenstein, TabulatedPhaseFunction]
-    + [PerspectiveView, OrthographicView, Stage, Prior, Optimizer],
+    + [PerspectiveView, OrthographicView, Stage, Prior, GaussNewton, Adam, SGD],
 )
 def test_settings_classes_refuse_unknown_arguments(table):
     with pytest.raises(ValidationError) as error:

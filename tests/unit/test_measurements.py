@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.inversion.pixels import seen_pixels
+from cloudtomo_cl.inversion.pixels import active_pixels
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, RayView
@@ -121,11 +121,11 @@ def test_bad_pixels_are_not_among_those_that_see_cloud(random):
     grid = Grid(shape=(2, 2, 2), spacing=(0.5, 0.5, 0.5))
     mask = np.ones(grid.shape, bool)
     fine = measurements(random)
-    before = seen_pixels(fine, grid, mask)
-    place = before.pixels[5, 1]
+    before = active_pixels(fine, grid, mask)
+    place = before.listed[5, 1]
     fine.images[0].flat[place] = np.nan
-    after = seen_pixels(fine, grid, mask)
-    assert len(after.pixels) == len(before.pixels) - 1 and place not in after.pixels[:, 1]
+    after = active_pixels(fine, grid, mask)
+    assert len(after.listed) == len(before.listed) - 1 and place not in after.listed[:, 1]
 
 
 @pytest.mark.parametrize(("errors", "text"), [((0.1, 0.1), "2 calibration_errors, 1 views"), ((-0.1,), "at least 0")])

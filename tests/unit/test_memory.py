@@ -1,5 +1,8 @@
 """Memory is asked for before it is taken."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -9,6 +12,7 @@ from cloudtomo_cl import memory
 from cloudtomo_cl.errors import DataError, DeviceError
 from cloudtomo_cl.files.extinction import read_extinction
 from cloudtomo_cl.inversion.reconstruct import check_memory
+from cloudtomo_cl.transport.radiance import footprint
 
 GRID = ct.Grid(shape=(4, 4, 4), spacing=(0.1, 0.1, 0.1))
 SCENE = ct.Scene(grid=GRID, sun=ct.Sun(zenith=30.0))
@@ -37,12 +41,12 @@ def test_images_too_large_for_the_machine_are_refused_at_once(device):
 
 def test_a_device_too_small_is_told_with_both_numbers():
     with pytest.raises(DeviceError, match=r"needs about 4.8 MB of memory, device small has 1 MB: choose fewer pixels"):
-        memory.require_rendering(SmallDevice(1e6, 1e6), (4, 4, 4), [view(1000, 100)])
+        footprint(64, 100_000).require(SmallDevice(1e6, 1e6), "rendering", "choose fewer pixels")
 
 
 def test_the_largest_piece_counts_too():
     with pytest.raises(DeviceError, match=r"in one piece, device small gives at most 1 MB"):
-        memory.require_rendering(SmallDevice(1e9, 1e6), (4, 4, 4), [view(1000, 100)])
+        footprint(64, 100_000).require(SmallDevice(1e9, 1e6), "rendering", "choose fewer pixels")
 
 
 def test_a_late_stage_too_large_is_told_at_the_start():
@@ -54,7 +58,7 @@ def test_a_late_stage_too_large_is_told_at_the_start():
 
 
 def test_a_machine_with_little_left_refuses(monkeypatch, device):
-    monkeypatch.setattr(memory, "_free_memory", lambda: 1000)
+    monkeypatch.setattr(memory, "free_memory", lambda: 1000)
     with pytest.raises(DataError, match="this machine has 1 kB free: choose fewer pixels"):
         ct.RadianceOperator(SCENE, [view(8, 8)], device)
 
@@ -63,16 +67,38 @@ def test_a_small_file_of_gigabytes_is_refused_before_it_is_read(tmp_path, monkey
     values = np.zeros((40, 40, 40))
     data = xr.Dataset({"extinction": (("x", "y", "z"), values)}, {axis: np.arange(40) for axis in "xyz"})
     data.to_netcdf(tmp_path / "cloud.nc", encoding={"extinction": {"zlib": True}})
-    monkeypatch.setattr(memory, "_free_memory", lambda: 500_000)
+    monkeypatch.setattr(memory, "free_memory", lambda: 500_000)
     with pytest.raises(DataError, match="cloud.nc: reading it needs about 1.03 MB .* this machine has 500 kB free"):
         read_extinction(tmp_path / "cloud.nc")
 
 
 def test_a_generated_cloud_too_large_is_refused():
-    with pytest.raises(DataError, match="3000 x 3000 x 3000 voxels are more than kernels count"):
+    with pytest.raises(DataError, match="3000 x 3000 x 3000 voxels is more than kernels count"):
         ct.cumulus(ct.Grid(shape=(3000, 3000, 3000), spacing=(0.01, 0.01, 0.01)))
 
 
 def test_free_memory_is_that_of_this_machine():
-    free = memory._free_memory()
-    assert free is None or 10**7 < free < 10**14
+    assert 10**7 < memory.free_memory() < 10**14
+
+
+def test_a_control_groups_limit_counts(monkeypatch, tmp_path):
+    (tmp_path / "max").write_text("3000000\n")
+    (tmp_path / "current").write_text("1000000\n")
+    files = (str(tmp_path / "max"), str(tmp_path / "current"))
+    monkeypatch.setattr(memory, "_CONTROL_GROUPS", (files, ("/nowhere", "/nowhere")))
+    assert memory.free_memory() == 2_000_000
+
+
+def test_a_control_group_without_a_limit_counts_for_nothing(monkeypatch, tmp_path):
+    (tmp_path / "max").write_text("max\n")
+    (tmp_path / "current").write_text("1000000\n")
+    monkeypatch.setattr(memory, "_CONTROL_GROUPS", ((str(tmp_path / "max"), str(tmp_path / "current")),))
+    assert memory.free_memory() > 10**7
+
+
+def test_a_limit_of_the_process_counts():
+    code = (
+        "import resource; from cloudtomo_cl.memory import free_memory; free_memory()\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (4 * 10**9, 4 * 10**9)); assert free_memory() < 4 * 10**9"
+    )
+    assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0

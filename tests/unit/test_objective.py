@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from cloudtomo_cl.inversion.objective import Gains, LaggedResidual, pixel_weights, relative_weights
-from cloudtomo_cl.inversion.pixels import SeenPixels
+from cloudtomo_cl.inversion.objective import AveragedImage, Gains, pixel_weights, relative_weights
+from cloudtomo_cl.inversion.pixels import ActivePixels
 from cloudtomo_cl.scene.sensors import OrthographicView
 
 PIXELS = 400
@@ -18,50 +18,48 @@ def halves(random, image):
     return image[:, None] + NOISE * random.normal(size=(PIXELS, 2))
 
 
-@pytest.mark.parametrize("memory", [1, 10])
-def test_the_costs_mean_has_no_bias_of_noise(random, memory):
+@pytest.mark.parametrize("window", [1, 10])
+def test_the_costs_mean_has_no_bias_of_noise(random, window):
     """5 standard errors of the mean: a significance of 6e-7. The square of a mean would be off by 20."""
     image = MEASURED + 0.1
     costs = []
     for _ in range(2000):
-        residual = LaggedResidual(MEASURED, WEIGHTS, memory)
-        residual.adjoint(halves(random, image))
-        costs.append(residual.cost(halves(random, image))[0])
+        averaged = AveragedImage.empty(PIXELS).with_halves(halves(random, image), window)
+        costs.append(averaged.cost(halves(random, image), MEASURED, WEIGHTS, window=window)[0])
     expected = 0.5 * np.sum(WEIGHTS * 0.1**2)
     assert abs(np.mean(costs) - expected) < 5 * np.std(costs) / np.sqrt(len(costs))
 
 
-@pytest.mark.parametrize("memory", [1, 10])
-def test_the_costs_standard_error_is_its_scatter(random, memory):
+@pytest.mark.parametrize("window", [1, 10])
+def test_the_costs_standard_error_is_its_scatter(random, window):
     costs, errors = [], []
     for _ in range(1000):
-        residual = LaggedResidual(MEASURED, WEIGHTS, memory)
-        residual.adjoint(halves(random, MEASURED + 0.1))
-        cost, error = residual.cost(halves(random, MEASURED + 0.1))
+        averaged = AveragedImage.empty(PIXELS).with_halves(halves(random, MEASURED + 0.1), window)
+        cost, error = averaged.cost(halves(random, MEASURED + 0.1), MEASURED, WEIGHTS, window=window)
         costs.append(cost)
         errors.append(error)
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.std(costs), rel=0.1)
 
 
-@pytest.mark.parametrize("memory", [1, 10])
-def test_a_halfs_adjoint_does_not_depend_on_that_half(random, memory):
+@pytest.mark.parametrize("window", [1, 10])
+def test_a_halfs_adjoint_does_not_depend_on_that_half(random, window):
     first, second = halves(random, MEASURED), halves(random, MEASURED)
     changed = second + np.array([1.0, 0.0])
     adjoints = []
     for now in (second, changed):
-        residual = LaggedResidual(MEASURED, WEIGHTS, memory)
-        residual.adjoint(first)
-        adjoints.append(residual.adjoint(now))
+        averaged = AveragedImage.empty(PIXELS).with_halves(first, window)
+        adjoints.append(averaged.adjoint(now, MEASURED, WEIGHTS, window=window))
     np.testing.assert_array_equal(adjoints[0][:, 0], adjoints[1][:, 0])
     assert (adjoints[0][:, 1] != adjoints[1][:, 1]).all()
 
 
-@pytest.mark.parametrize("memory", [1, 10])
-def test_without_noise_the_adjoint_is_the_costs_derivative(memory):
+@pytest.mark.parametrize("window", [1, 10])
+def test_without_noise_the_adjoint_is_the_costs_derivative(window):
     image = MEASURED + np.linspace(-0.2, 0.3, PIXELS)
-    residual = LaggedResidual(MEASURED, WEIGHTS, memory)
+    averaged, both = AveragedImage.empty(PIXELS), np.column_stack([image, image])
     for _ in range(3):
-        adjoint = residual.adjoint(np.column_stack([image, image]))
+        adjoint = averaged.adjoint(both, MEASURED, WEIGHTS, window=window)
+        averaged = averaged.with_halves(both, window)
     np.testing.assert_allclose(adjoint.sum(axis=1), WEIGHTS * (image - MEASURED), atol=1e-12)
 
 
@@ -144,6 +142,6 @@ def test_weights_by_the_level_do_not_favour_pixels_that_are_dark_by_chance(rando
     pixels = np.column_stack([np.zeros(side**2, int), np.arange(side**2)])
     radiance = 1 + noise * random.standard_normal(side**2)
     view = OrthographicView(width=1.0, pixels=(side, side), zenith=0, azimuth=0)
-    seen = SeenPixels((view,), pixels, radiance, np.full(side**2, noise), ())
+    seen = ActivePixels((view,), pixels, radiance, np.full(side**2, noise), ())
     weights = pixel_weights(seen.level, seen.standard_error)
     assert np.average(radiance, weights=weights) == pytest.approx(1 - noise**2 / 9, abs=5 * noise / side)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
+from cloudtomo_cl.inversion.linear_model import Jacobian
 from cloudtomo_cl.inversion.uncertainty import bounded_minimum, roughness, standard_errors
 from cloudtomo_cl.reference.prior import smoothness_matrix
 
@@ -26,8 +27,8 @@ def problem(random):
 def found(problem, smoothness, draws=DRAWS, correct=lambda residual: residual):
     mask, jacobian, weights, deviation, _ = problem
     return standard_errors(
-        jacobian, weights, lambda random: deviation * random.standard_normal(PIXELS), correct, smoothness, 0.3,
-        mask, np.full(mask.sum(), np.inf), np.zeros(mask.sum()), draws, seed=1,
+        Jacobian(jacobian), weights, lambda random: deviation * random.standard_normal(PIXELS), correct, smoothness,
+        0.3, mask, np.full(mask.sum(), np.inf), np.zeros(mask.sum()), draws, seed=1,
     )  # fmt: skip
 
 
@@ -84,7 +85,7 @@ def test_voxels_pressed_against_zero_have_small_errors(problem):
     voxels = mask.sum()
     pressed = np.arange(voxels) % 2 == 0
     errors = standard_errors(
-        jacobian, weights, lambda random: deviation * random.standard_normal(PIXELS), lambda residual: residual, 1.0,
-        0.3, mask, np.where(pressed, 0.0, np.inf), np.where(pressed, 1e3, 0.0), 50, seed=1,
+        Jacobian(jacobian), weights, lambda random: deviation * random.standard_normal(PIXELS), lambda r: r,
+        1.0, 0.3, mask, np.where(pressed, 0.0, np.inf), np.where(pressed, 1e3, 0.0), 50, seed=1,
     )  # fmt: skip
     assert (errors[pressed] == 0).all() and (errors[~pressed] > 0).all()

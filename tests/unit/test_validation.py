@@ -148,7 +148,7 @@ def test_users_mistakes_exit_with_2(computed, capsys, tmp_path, monkeypatch, arg
 def test_photons_must_be_a_number(photons, capsys):
     with pytest.raises(SystemExit) as exit_:
         main(["validate", f"--photons={photons}"])
-    assert exit_.value.code == 2 and "is no number from" in capsys.readouterr().err
+    assert exit_.value.code == 2 and "is no number of photons from" in capsys.readouterr().err
 
 
 def test_table_as_csv_has_the_numbers(computed, tmp_path):

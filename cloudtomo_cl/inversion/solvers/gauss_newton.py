@@ -2,246 +2,244 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass as plain_dataclass
+from dataclasses import replace
+from typing import Annotated, Literal
+
 import numpy as np
-from scipy.optimize import minimize
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass
 
-from cloudtomo_cl.inversion.checkpoint import joined, part
-from cloudtomo_cl.inversion.objective import cost_of_independent, curvature_of, noise_of
-from cloudtomo_cl.inversion.pixels import SeenPixels
-from cloudtomo_cl.inversion.priors import SMOOTHNESS_CURVATURE, Prior, PriorOperator
-from cloudtomo_cl.inversion.solvers.method import Progress, check_gradient
-from cloudtomo_cl.inversion.solvers.optimizer import Optimizer
-from cloudtomo_cl.inversion.stages import Stage
+from cloudtomo_cl.inversion.jacobian_average import JacobianAverage
+from cloudtomo_cl.inversion.objective import cost_of_independent, noise_of
+from cloudtomo_cl.inversion.problem import Problem
+from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
+from cloudtomo_cl.inversion.solvers.state import not_saved, of_any_length
 from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, standard_errors
-from cloudtomo_cl.transport.derivatives import RadianceField
-from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering, pooled
+from cloudtomo_cl.opencl.memory import Footprint
+from cloudtomo_cl.scene.grid import Count
+from cloudtomo_cl.scene.scene import NotNegative, Positive
+from cloudtomo_cl.transport.derivatives import jacobian_footprint, table_footprint
+from cloudtomo_cl.transport.radiance import Rendering, pooled
 
-# Paths of an iteration that derivatives are made of, for each voxel of the mask, and the least of all.
-_PATHS_PER_VOXEL = 45
-_LEAST_PATHS = 50_000
 # Share of a predicted change of a pixel that is taken for the prediction's error.
 _TANGENT_ERROR = 0.1
 # Of L-BFGS-B's memory.
 _CORRECTIONS = 20
 
 
-def samples_of(pixels: int, voxels: int) -> int:
-    """Paths per pixel that the derivatives of so many voxels are made of, if the stage does not say."""
-    return max(2, 2 * round(max(_PATHS_PER_VOXEL * voxels, _LEAST_PATHS) / pixels / 2))
+@plain_dataclass(frozen=True, eq=False)
+class GaussNewtonState:
+    """Where the iterations stand.
 
+    The images of all iterations are kept as one: their mean is carried along with the extinction by the derivatives,
+    and every iteration's own paths are averaged into it, so that noise falls while the steps get smaller. Derivatives
+    and estimate are tail averages, over the later half of the iterations: noise of the derivatives alone would let
+    them fit noise of the images.
 
-def _rate(iteration: int) -> float:
-    """Share of an iteration, counted from 0, in a mean over about the later half of them."""
-    return 1 / (1 + iteration // 2)
-
-
-class GaussNewton:
-    """Renders at an extinction, takes the derivatives there, and minimises the model of the cost they give.
-
-    The images of all iterations are kept as one: their mean is carried along with the extinction by
-    the derivatives, and every iteration's own paths are averaged into it, so that noise falls while
-    the steps get smaller. Derivatives and estimate are means over the later half of the iterations:
-    noise of the derivatives alone would let them fit noise of the images (docs/results.md).
-    Parameters as of `StochasticDescent`.
-
-    Source: Gauss-Newton with bounds; derivatives by `RadianceField.jacobian`.
+    Attributes
+    ----------
+    extinction, estimate : km^-1, shape (voxels,)
+    image, variance : of the averaged modelled image, W m^-2 sr^-1 and its square, shape (pixels,)
+    lag : `noise_of` the errors of the last step's prediction
+    iterations : done so far
+    streams, walked : of the derivatives: random numbers, shape (iterations,), and extinctions, (iterations, voxels)
+    derivatives : their average; made again from the above after a resume
     """
 
-    def __init__(
-        self,
-        optimizer: Optimizer,
-        prior: Prior,
-        stage: Stage,
-        operator: RadianceOperator,
-        seen: SeenPixels,
-        extinction: np.ndarray,
-        mask: np.ndarray,
-        seed: int,
-    ) -> None:
-        import pyopencl.array as cl_array
+    extinction: np.ndarray
+    estimate: np.ndarray
+    image: np.ndarray
+    variance: np.ndarray
+    lag: float
+    iterations: int
+    streams: np.ndarray = of_any_length()
+    walked: np.ndarray = of_any_length()
+    derivatives: JacobianAverage | None = not_saved(default=None)
 
-        self._array = cl_array
-        self._optimizer = optimizer
-        self._operator = operator
-        self._mask = mask
-        self._seed = seed
-        self._samples = stage.samples or samples_of(len(seen.pixels), int(mask.sum()))
-        self._seen = seen
-        self._measured = seen.radiance
-        self._weights = seen.weights
-        self._unit = seen.unit
-        self._gains = seen.gains
-        self._smoothness = prior.smoothness
-        self._curvature_of_sparsity = prior.sparsity / prior.clear**2
-        self._prior = PriorOperator(prior, operator.scene.grid.shape, operator.device)
-        self._field = RadianceField(operator)
-        self._extinction = extinction[self._mask].astype(float)  # of the mask's voxels
-        self._mean = self._extinction.copy()
-        self._image = np.zeros(len(seen.pixels))
-        self._variance = np.zeros(len(seen.pixels))
-        self._jacobian: np.ndarray | None = None
-        self._walked: list[tuple[int, np.ndarray]] = []  # keys and extinctions that the derivatives are of
-        self._lag = 0.0  # noise_of the errors of the last step's prediction
-        self._stage_weight = stage.prior_weight
-        self._iterations = 0
+    def modelled_noise(self, problem: Problem) -> float:
+        """What noise and error of the modelled image add to the data term."""
+        return noise_of(self.variance, problem.weights) + self.lag
 
-    @property
-    def extinction(self) -> np.ndarray:
-        """Where the iterations stand, km^-1, shape of the grid."""
-        return self._on_grid(self._extinction)
 
-    def estimate(self) -> np.ndarray:
-        """The mean of the last iterations' extinctions, km^-1, shape of the grid."""
-        return self._on_grid(self._mean)
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class GaussNewton:
+    """Renders at an extinction, takes the derivatives of all pixels there, and minimises the model they give.
 
-    def _on_grid(self, values: np.ndarray) -> np.ndarray:
-        extinction = np.zeros(self._mask.shape, np.float32)
-        extinction[self._mask] = values
-        return extinction
+    Source: Gauss-Newton with bounds (Nocedal and Wright 2006, section 10.3), inner minimisation by L-BFGS-B (Byrd,
+    Lu, Nocedal and Zhu 1995).
 
-    def iterate(self, key: int, where: str) -> Progress:
-        """One step; `key` numbers its paths, `where` is for errors.
+    Attributes
+    ----------
+    iterations : on the finest of the automatic stages, at most; by default 30. A run that has done them goes on with
+        more by `--resume`, unless its cost has settled
+    start : extinction inside the mask before the first stage, km^-1
+    image_samples : paths for the images, times those for the derivatives
+    damping : of the first steps, in shares of the data term's own curvature; it halves from step to step, down to
+        a tenth
+    inner_iterations : of the minimisation of the quadratic model
+    """
+
+    type: Literal["gauss-newton"] = "gauss-newton"
+    iterations: Count | None = None
+    start: Positive = 2.0
+    image_samples: Annotated[int, Field(ge=0)] = 10
+    damping: NotNegative = 0.1
+    inner_iterations: Count = 40
+
+    def stage_limits(self, last: bool) -> tuple[int, int]:
+        """Iterations and window of an automatic stage."""
+        return (self.iterations or 30, 30) if last else (4, 20)
+
+    def footprint(self, pixels: int, voxels: int) -> Footprint:
+        """What derivatives and table take."""
+        return table_footprint(voxels) + jacobian_footprint(pixels, voxels)
+
+    def init(self, problem: Problem, extinction: np.ndarray) -> GaussNewtonState:
+        """Before the first iteration; see `Solver`."""
+        start = np.array(extinction, float)
+        pixels, voxels = len(problem.active), len(start)
+        nothing, none = np.zeros(pixels), np.zeros((0, voxels), np.float32)
+        return GaussNewtonState(start, start, nothing, nothing, 0.0, 0, np.zeros(0, np.int64), none)
+
+    def step(
+        self, problem: Problem, state: GaussNewtonState, *, seed: int, stream: int
+    ) -> tuple[GaussNewtonState, Progress]:
+        """One iteration; see `Solver`.
 
         Raises
         ------
         TransportError : a derivative is not finite
         """
-        operator, samples = self._operator, self._samples
-        extinction = self.extinction
-        self._recall()
-        walked = self._differentiate(key, self._extinction)
-        rendering = walked
-        if self._optimizer.image_samples:
-            more = samples * self._optimizer.image_samples
-            rendering = pooled(walked, operator.render(extinction, more, self._seed, key, first_sample=samples))
-        cost, error = self._cost(rendering.halves)
-        self._remember(rendering.mean, rendering.standard_error**2)
-        prior_value, _ = self._prior_at(self._extinction)
-        self._step(where)
-        self._mean += (self._extinction - self._mean) * _rate(self._iterations - 1)
-        return Progress(cost, error, prior_value, rendering.samples * len(operator.pixels))
-
-    def _recall(self) -> None:
-        """After a resume: derivatives of the iterations before."""
-        if self._jacobian is None:
-            before, self._walked = self._walked, []
-            for earlier, values in before:
-                self._differentiate(earlier, values)
-
-    def standard_error(self, draws: int) -> np.ndarray | None:
-        """Of the estimate, by so many draws from the last linear model, km^-1, shape of the grid.
-
-        None if the images' noise is not known, or before the first iteration.
-        """
-        self._recall()
-        if self._jacobian is None or not self._seen.standard_error.any():
-            return None
-        image, seen = self._image, self._seen
-        misfit = image - self._measured + self._jacobian @ (self._mean - self._extinction).astype(np.float32)
-        force = self._weights * self._gains(misfit, image)
-        gradient = force.astype(np.float32) @ self._jacobian + self._prior_at(self._mean)[1]
-        deviation = np.sqrt(seen.variance + self._variance)
-        gains = np.array(seen.calibration_errors)
-
-        def noise(random: np.random.Generator) -> np.ndarray:
-            common = gains * random.standard_normal(len(gains))
-            return deviation * random.standard_normal(len(image)) + common[seen.pixels[:, 0]] * image
-
-        found = standard_errors(
-            self._jacobian,
-            self._weights,
-            noise,
-            lambda residual: self._gains(residual, image),
-            self._prior_weight * self._smoothness,
-            self._noise,
-            self._mask,
-            self._mean,
-            gradient,
-            draws,
-            self._seed,
+        derivatives = _derivatives_of(problem, state, seed)
+        walked = derivatives.add(problem, state.extinction, seed, stream)
+        rendering = self._with_more_paths(problem, walked, state.extinction, seed, stream)
+        cost, error = _cost(problem, rendering.halves, state.image)
+        state = _with_image(problem, state, rendering)
+        state = replace(
+            state,
+            streams=np.append(state.streams, stream),
+            walked=np.concatenate([state.walked, state.extinction[None].astype(np.float32)]),
+            derivatives=derivatives,
         )
-        return self._on_grid(found)
+        prior, _ = problem.prior.value_and_gradient(state.extinction, problem.units(state.modelled_noise(problem)))
+        state = self._minimised(problem, state, stream)
+        rate = tail_rate(state.iterations - 1)
+        estimate = state.estimate + (state.extinction - state.estimate) * rate
+        paths = rendering.samples * len(problem.active)
+        return replace(state, estimate=estimate), Progress(cost, error, prior, paths)
 
-    def _differentiate(self, key: int, values: np.ndarray) -> Rendering:
-        """Walks paths at an extinction, and averages their derivatives into those of iterations before."""
-        walked = self._operator.render(self._on_grid(values), self._samples, self._seed, key, keep_paths=True)
-        self._jacobian = self._field.jacobian(walked, self._jacobian, _rate(len(self._walked)))
-        self._walked.append((key, values.astype(np.float32)))
-        return walked
+    def _with_more_paths(
+        self, problem: Problem, walked: Rendering, extinction: np.ndarray, seed: int, stream: int
+    ) -> Rendering:
+        """The rendering that derivatives were made of, with more paths for the images."""
+        if not self.image_samples:
+            return walked
+        more = walked.samples * self.image_samples
+        values = problem.on_grid(extinction)
+        return pooled(walked, problem.operator.render(values, more, seed, stream, first_sample=walked.samples))
 
-    def _cost(self, halves: np.ndarray) -> tuple[float, float]:
-        variance = (halves[:, 0] - halves[:, 1]) ** 2 / 2
-        first, second = (halves - self._measured[:, None]).T
-        return cost_of_independent(first, variance, self._gains(second, self._image), variance, self._weights)
+    def _minimised(self, problem: Problem, state: GaussNewtonState, stream: int) -> GaussNewtonState:
+        """The state at the minimum of the model: residuals and their derivatives, prior, and a damping of the step."""
+        from scipy.optimize import minimize
 
-    def _remember(self, image: np.ndarray, variance: np.ndarray) -> None:
-        """Averages an image into that remembered, by how much noise and error each has."""
-        rate = 1.0
-        if self._iterations:
-            old = noise_of(self._variance, self._weights) + self._lag
-            new = noise_of(variance, self._weights)
-            rate = old / (old + new) if old + new > 0 else 1 / (1 + self._iterations)
-        self._image += rate * (image - self._image)
-        self._variance = (1 - rate) ** 2 * self._variance + rate**2 * variance
-        self._lag *= (1 - rate) ** 2
-        self._iterations += 1
-
-    @property
-    def _noise(self) -> float:
-        """N of the prior: the mean weighted variance of a pixel's noise, measured and modelled."""
-        return self._unit + 2 * (noise_of(self._variance, self._weights) + self._lag) / len(self._measured)
-
-    @property
-    def _prior_weight(self) -> float:
-        return self._stage_weight * self._noise
-
-    def _prior_at(self, values: np.ndarray) -> tuple[float, np.ndarray]:
-        extinction = self._array.to_device(self._operator.device.queue, self._on_grid(values))
-        value, gradient = self._prior.value_and_gradient(extinction, self._prior_weight, self._unit)
-        return value, gradient.get()[self._mask].astype(float)
-
-    def _step(self, where: str) -> None:
-        """Minimises the model: residuals and their derivatives, the prior, and a damping of the step."""
-        jacobian = self._jacobian
-        assert jacobian is not None
-        start, residual, image = self._extinction, self._image - self._measured, self._image.copy()
-        curvature = curvature_of(jacobian, self._weights)
-        check_gradient(self._on_grid(curvature), where)
-        damping = self._optimizer.damping * max(0.5 ** (self._iterations - 1), 0.1)
-        stiff = curvature * (1 + damping) + self._prior_weight * self._smoothness * SMOOTHNESS_CURVATURE
-        stiff += self._unit * self._curvature_of_sparsity + LEAST_CURVATURE * curvature.mean()
-        scale = 1 / np.sqrt(stiff)
+        assert state.derivatives is not None
+        jacobian, weights, gains = state.derivatives.jacobian, problem.weights, problem.active.gains
+        start, image, residual = state.extinction, state.image, state.image - problem.radiance
+        units = problem.units(state.modelled_noise(problem))
+        curvature = jacobian.curvature(weights)
+        check_gradient(curvature, problem, stream)
+        damping = self.damping * max(0.5 ** (state.iterations - 1), 0.1)
+        stiff = curvature * (1 + damping) + problem.prior.curvature(start, units)
+        scale = 1 / np.sqrt(stiff + LEAST_CURVATURE * curvature.mean())
 
         def model(scaled: np.ndarray) -> tuple[float, np.ndarray]:
             values = scaled * scale
             change = values - start
-            misfit = residual + jacobian @ change.astype(np.float32)
-            force = self._weights * self._gains(misfit, image)
-            prior, prior_gradient = self._prior_at(values)
+            misfit = residual + jacobian @ change
+            force = weights * gains(misfit, image)
+            prior, prior_gradient = problem.prior.value_and_gradient(values, units)
             held = damping * curvature * change
-            gradient = force.astype(np.float32) @ jacobian + held + prior_gradient
+            gradient = jacobian.rmatvec(force) + held + prior_gradient
             return 0.5 * float(misfit @ force + held @ change) + prior, gradient * scale
 
-        options = {"maxiter": self._optimizer.inner_iterations, "maxcor": _CORRECTIONS}
+        options = {"maxiter": self.inner_iterations, "maxcor": _CORRECTIONS}
         bounds = [(0.0, None)] * len(start)
         found = minimize(model, start / scale, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-        self._extinction = np.maximum(found.x * scale, 0.0)
-        predicted = jacobian @ (self._extinction - start).astype(np.float32)
-        self._image += predicted
-        self._lag += noise_of((_TANGENT_ERROR * predicted) ** 2, self._weights)
+        extinction = np.maximum(found.x * scale, 0.0)
+        predicted = jacobian @ (extinction - start)
+        lag = state.lag + noise_of((_TANGENT_ERROR * predicted) ** 2, weights)
+        return replace(state, extinction=extinction, image=image + predicted, lag=lag)
 
-    def state(self) -> dict[str, np.ndarray]:
-        """All that an iteration changes, as arrays on the host."""
-        names = ("extinction", "mean", "image", "variance", "lag", "iterations")
-        own = {name: np.array(getattr(self, f"_{name}")) for name in names}
-        keys, extinctions = zip(*self._walked) if self._walked else ((), ())
-        walked: dict[str, np.ndarray] = {"keys": np.array(keys, np.int64)}
-        walked["extinctions"] = np.array(extinctions, np.float32)
-        return joined({"gauss_newton": own, "walked": walked})
+    def standard_error(
+        self, problem: Problem, state: GaussNewtonState, draws: int, seed: int
+    ) -> np.ndarray | None:
+        """Of the estimate, by so many draws from the last linear model, km^-1, shape (voxels,).
 
-    def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Goes on from what `state` gave. The derivatives are too many to be kept: their paths are walked again."""
-        for name, array in part(state, "gauss_newton").items():
-            setattr(self, f"_{name}", array.item() if array.ndim == 0 else array.copy())
-        walked = part(state, "walked")
-        self._walked = [(int(key), values) for key, values in zip(walked["keys"], walked["extinctions"])]
+        None if the images' noise is not known, or before the first iteration.
+        """
+        active, image = problem.active, state.image
+        if not state.iterations or not active.standard_error.any():
+            return None
+        jacobian = _derivatives_of(problem, state, seed).jacobian
+        units = problem.units(state.modelled_noise(problem))
+        misfit = image - problem.radiance + jacobian @ (state.estimate - state.extinction)
+        force = problem.weights * active.gains(misfit, image)
+        gradient = jacobian.rmatvec(force) + problem.prior.value_and_gradient(state.estimate, units)[1]
+        deviation = np.sqrt(active.variance + state.variance)
+        calibration = np.array(active.calibration_errors)
+
+        def noise(random: np.random.Generator) -> np.ndarray:
+            common = calibration * random.standard_normal(len(calibration))
+            return deviation * random.standard_normal(len(image)) + common[active.listed[:, 0]] * image
+
+        return standard_errors(
+            jacobian,
+            problem.weights,
+            noise,
+            lambda residual: active.gains(residual, image),
+            problem.prior.smoothness(units),
+            units.both,
+            problem.mask,
+            state.estimate,
+            gradient,
+            draws,
+            seed,
+        )
+
+
+def tail_rate(iteration: int) -> float:
+    """Share of an iteration, counted from 0, in a mean over about the later half of them."""
+    return 1 / (1 + iteration // 2)
+
+
+def _derivatives_of(problem: Problem, state: GaussNewtonState, seed: int) -> JacobianAverage:
+    """The average that a state goes on with; after a resume, that of the iterations before is made again."""
+    if state.derivatives is not None:
+        return state.derivatives
+    derivatives = JacobianAverage(problem, tail_rate)
+    for stream, extinction in zip(state.streams, state.walked):
+        derivatives.add(problem, extinction, seed, int(stream))
+    return derivatives
+
+
+def _cost(problem: Problem, halves: np.ndarray, averaged: np.ndarray) -> tuple[float, float]:
+    variance = (halves[:, 0] - halves[:, 1]) ** 2 / 2
+    first, second = (halves - problem.radiance[:, None]).T
+    return cost_of_independent(first, variance, problem.active.gains(second, averaged), variance, problem.weights)
+
+
+def _with_image(problem: Problem, state: GaussNewtonState, rendering: Rendering) -> GaussNewtonState:
+    """With a rendering in the averaged image, by how much noise and error each has."""
+    variance = rendering.standard_error**2
+    rate = 1.0
+    if state.iterations:
+        old, new = state.modelled_noise(problem), noise_of(variance, problem.weights)
+        rate = old / (old + new) if old + new > 0 else 1 / (1 + state.iterations)
+    return replace(
+        state,
+        image=state.image + rate * (rendering.mean - state.image),
+        variance=(1 - rate) ** 2 * state.variance + rate**2 * variance,
+        lag=state.lag * (1 - rate) ** 2,
+        iterations=state.iterations + 1,
+    )

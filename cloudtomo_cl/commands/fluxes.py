@@ -1,0 +1,163 @@
+"""What `cloudtomo flux` does: everything is read and checked, then the fluxes are computed, then written."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from cloudtomo_cl.commands import progress
+from cloudtomo_cl.commands.provenance import describe_device, source, versions
+from cloudtomo_cl.files.extinction import extinction_dataset, read_effective_radius, read_extinction
+from cloudtomo_cl.files.netcdf import check_output, is_netcdf, save_dataset
+from cloudtomo_cl.opencl.device import choose_device
+from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.settings.stored import kept_scene, stored_scene
+from cloudtomo_cl.settings.tables import read_flux_settings
+from cloudtomo_cl.transport.flux import Fluxes, FluxOperator
+
+_DEFAULT_PHOTONS = 1_000_000
+
+_NAMES = {
+    "reflected": "upward flux through the top",
+    "direct": "downward flux through the bottom, not scattered",
+    "diffuse": "downward flux through the bottom, scattered",
+    "absorbed": "flux absorbed in the column by droplets and molecules",
+}
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the command line says; see its help."""
+
+    scene: Path
+    photons: int | None
+    seed: int | None
+    output: Path | None
+    overrides: Sequence[str]
+    device: str | None
+    quiet: bool
+    overwrite: bool
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that the fluxes need.
+
+    Attributes
+    ----------
+    extinction, effective_radius : km^-1 and micrometres, shape of the scene's grid
+    cloud_file : the name of the file that the cloud is from
+    """
+
+    request: Request
+    operator: FluxOperator
+    extinction: np.ndarray
+    effective_radius: np.ndarray | None
+    photons: int
+    seed: int
+    cloud_file: str
+
+    @property
+    def console(self) -> Console:
+        return Console(markup=False, emoji=False, quiet=self.request.quiet)
+
+
+@dataclass(frozen=True)
+class Result:
+    """Fluxes, and the seconds that they took."""
+
+    fluxes: Fluxes
+    seconds: float
+
+
+def prepare(request: Request) -> Job:
+    """Reads and checks everything, and builds the kernels. Raises what can be refused."""
+    if request.output is not None:
+        check_output(request.output, request.overwrite)
+    scene, extinction, radius, made = _to_compute(request.scene, request.overrides)
+    return Job(
+        request=request,
+        operator=FluxOperator(scene, choose_device(request.device), effective_radius=radius),
+        extinction=extinction,
+        effective_radius=radius,
+        photons=request.photons or made.get("photons", _DEFAULT_PHOTONS),
+        seed=made.get("seed", 0) if request.seed is None else request.seed,
+        cloud_file=made["cloud_file"],
+    )
+
+
+def execute(job: Job) -> Result:
+    """Follows the photons."""
+    start = time.perf_counter()
+    most = job.photons
+    with progress.rendering(job.console, most, "photons") as show:
+        fluxes = job.operator.compute(job.extinction, most, job.seed, progress=lambda done: show(min(done, most)))
+    return Result(fluxes, time.perf_counter() - start)
+
+
+def deliver(job: Job, result: Result) -> None:
+    """Writes the fluxes, if a file is wanted, and prints their means."""
+    fluxes, output = result.fluxes, job.request.output
+    if output is not None:
+        kept = extinction_dataset(
+            job.operator.scene.grid, job.extinction, _attributes(job, result), job.effective_radius
+        )
+        save_dataset(output, kept.assign(_variables(fluxes)))
+    for name in ("reflected", "transmitted", "direct", "diffuse", "absorbed"):
+        mean = fluxes.domain_mean(name)
+        share = mean.value / fluxes.incident
+        line = f"{name:<12}{mean.value:10.5f} ± {mean.standard_error:.1g} W m^-2  {share:8.3%} of what comes in"
+        job.console.print(line, highlight=False, soft_wrap=True)
+    where = "" if output is None else f": {output}"
+    took = progress.duration(result.seconds)
+    job.console.print(f"{fluxes.photons:.3g} photons in {took} on {job.operator.device.name}{where}", soft_wrap=True)
+
+
+def _attributes(job: Job, result: Result) -> dict[str, Any]:
+    """Of the file, with the settings that repeat it."""
+    return {
+        "title": "fluxes of a cloud scene",
+        "source": source(),
+        "device": describe_device(job.operator.device),
+        "versions": versions(),
+        "incident_flux": result.fluxes.incident,
+        "incident_flux_units": "W m-2",
+        "photons": float(result.fluxes.photons),
+        "seconds": result.seconds,
+        "seed": job.seed,
+        "settings": {
+            "scene": stored_scene(job.operator.scene),
+            "cloud_file": job.cloud_file,
+            "photons": job.photons,
+            "seed": job.seed,
+        },
+    }
+
+
+def _to_compute(
+    path: Path, overrides: Sequence[str]
+) -> tuple[Scene, np.ndarray, np.ndarray | None, dict[str, Any]]:
+    """Scene, extinction, effective radius and settings, of a scene file or of a file that keeps them."""
+    if is_netcdf(path):
+        return kept_scene(path, overrides)
+    settings = read_flux_settings(path, overrides)
+    file = settings.cloud.file
+    grid, extinction = read_extinction(file)
+    return settings.scene(grid), extinction, read_effective_radius(file), {"cloud_file": file.name}
+
+
+def _variables(fluxes: Fluxes) -> dict[str, Any]:
+    """Fluxes and their standard errors by column, W m^-2."""
+    variables = {}
+    for name, text in _NAMES.items():
+        estimate = getattr(fluxes, name)
+        variables[name] = (("x", "y"), estimate.value, {"long_name": text, "units": "W m-2"})
+        error = {"long_name": f"standard error of {name}", "units": "W m-2"}
+        variables[f"{name}_standard_error"] = (("x", "y"), estimate.standard_error, error)
+    return variables

@@ -1,0 +1,51 @@
+"""Images of a recovered cloud from the measured views, for the report to compare with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloudtomo_cl.commands.provenance import describe_device, source, versions
+from cloudtomo_cl.commands.run_folder import RunFolder
+from cloudtomo_cl.files.measurements import write_measurements
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.settings.stored import stored_scene
+from cloudtomo_cl.transport.radiance import RadianceOperator
+
+# Some seconds on a CPU.
+PATHS, _FEWEST_SAMPLES = 3e6, 16
+
+
+def write_modelled(
+    folder: RunFolder,
+    scene: Scene,
+    measurements: Measurements,
+    extinction: np.ndarray,
+    device: Device,
+    seed: int,
+    iteration: int,
+) -> None:
+    """Renders the cloud and writes modelled.nc.
+
+    Parameters
+    ----------
+    extinction : km^-1, shape of the scene's grid
+    iteration : of the random numbers, one that the recovery did not use
+    """
+    operator = RadianceOperator(scene, measurements.views, device)
+    samples = max(_FEWEST_SAMPLES, 2 * round(PATHS / len(operator.pixels) / 2))
+    modelled = Measurements.rendered(operator, operator.render(extinction, samples, seed, iteration))
+    write_measurements(
+        folder.modelled_file,
+        modelled,
+        {"source": source(), "device": describe_device(device), "versions": versions()},
+        {
+            "scene": stored_scene(scene),
+            "cloud_file": folder.reconstruction_file.name,
+            "samples": samples,
+            "seed": seed,
+            "iteration": iteration,
+        },
+        (scene.grid, extinction, None),
+    )

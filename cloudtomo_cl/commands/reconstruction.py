@@ -1,0 +1,317 @@
+"""What `cloudtomo reconstruct` does: everything is read and checked, then the cloud is recovered, then delivered."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from cloudtomo_cl.commands.modelled import write_modelled
+from cloudtomo_cl.commands.progress import ReconstructionProgress, duration
+from cloudtomo_cl.commands.provenance import describe_device, source, versions
+from cloudtomo_cl.commands.reporting import make_report
+from cloudtomo_cl.commands.run_folder import RunFolder
+from cloudtomo_cl.commands.stopping import StopRequest, exit_status
+from cloudtomo_cl.errors import DataError, DeviceError, Interrupted, SettingsError
+from cloudtomo_cl.files.measurements import read_measurements, read_settings
+from cloudtomo_cl.files.netcdf import is_netcdf
+from cloudtomo_cl.files.truth import read_truth
+from cloudtomo_cl.inversion.carving import carved_mask
+from cloudtomo_cl.inversion.checkpoint import Checkpoint
+from cloudtomo_cl.inversion.reconstruct import check_memory, reconstruct
+from cloudtomo_cl.inversion.records import IterationRecord, Reconstruction
+from cloudtomo_cl.inversion.run import records
+from cloudtomo_cl.inversion.stages import stages_of
+from cloudtomo_cl.opencl.device import Device, choose_device
+from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.metrics import delta, epsilon
+from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.scene.visibility import check_views
+from cloudtomo_cl.settings.stored import stored_scene
+from cloudtomo_cl.settings.tables import (
+    ReconstructSettings,
+    read_reconstruct_settings,
+    repeated_reconstruct_settings,
+    views,
+)
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the command line says; see its help."""
+
+    run: Path
+    seed: int | None
+    output: Path
+    resume: bool
+    with_report: bool
+    overrides: Sequence[str]
+    device: str | None
+    quiet: bool
+    overwrite: bool
+
+    @property
+    def resume_command(self) -> str:
+        """How to go on, as a line to copy."""
+        words = ["cloudtomo", "reconstruct", str(self.run), "--output", str(self.output), "--resume"]
+        for name, value in (("--seed", self.seed), ("--device", self.device)):
+            if value is not None:
+                words += [name, str(value)]
+        for override in self.overrides:
+            words += ["--set", override]
+        return f"go on with\n  {shlex.join(words)}"
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that a recovery needs.
+
+    Attributes
+    ----------
+    truth : the known cloud on the scene's grid, km^-1, if there is one
+    resumed : the checkpoint to go on from; none at the start
+    """
+
+    request: Request
+    folder: RunFolder
+    settings: ReconstructSettings
+    measurements: Measurements
+    scene: Scene
+    truth: np.ndarray | None
+    device: Device
+    seed: int
+    resumed: Checkpoint | None
+
+    @property
+    def console(self) -> Console:
+        return Console(markup=False, emoji=False, quiet=self.request.quiet)
+
+    @property
+    def stored_settings(self) -> dict[str, Any]:
+        """The settings as files keep them: without the paths of other files."""
+        return self.settings.model_dump(mode="json", exclude={"measurements", "truth"})
+
+    def say(self, text: str) -> None:
+        self.console.print(text, highlight=False, soft_wrap=True)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A recovered cloud, and the signal that ended its recovery early, if one did."""
+
+    result: Reconstruction
+    signal_number: int | None
+
+    @property
+    def where(self) -> str:
+        last = self.result.history[-1]
+        return f"stage {last.stage + 1} of {last.stages}, iteration {last.iteration + 1}"
+
+    @property
+    def state(self) -> str:
+        if self.signal_number is not None:
+            return f"interrupted in {self.where}"
+        return f"stopped by its time limit in {self.where}" if self.result.timed_out else "complete"
+
+
+def prepare(request: Request) -> Job:
+    """Reads and checks everything. Raises what can be refused before the first path."""
+    if request.resume and request.overwrite:
+        raise SettingsError("--resume goes on with a run and --overwrite discards it: give one of them")
+    folder = RunFolder(request.output)
+    resumed = folder.read_checkpoint() if request.resume else None
+    if resumed is None:
+        # Without a checkpoint there is nothing that a resume could lose.
+        folder.check_new(request.overwrite or request.resume)
+    settings, measurements, stored = _read(request)
+    scene = settings.scene(stored.get("scene", {}))
+    truth = None if settings.truth is None else read_truth(settings.truth.file, scene.grid)
+    check_views(scene, measurements.views)
+    device = choose_device(request.device)
+    check_memory(scene, measurements, stages_of(scene.grid, settings.stage, settings.solver), device)
+    return Job(
+        request=request,
+        folder=folder,
+        settings=settings,
+        measurements=measurements,
+        scene=scene,
+        truth=truth,
+        device=device,
+        seed=settings.run.seed if request.seed is None else request.seed,
+        resumed=resumed,
+    )
+
+
+def _read(request: Request) -> tuple[ReconstructSettings, Measurements, dict[str, Any]]:
+    """Settings, images with the views that the settings give them, and the settings that the images were made with."""
+    if is_netcdf(request.run):
+        measurements, stored = _read_measurements(request.run)
+        settings = repeated_reconstruct_settings(request.run, stored, request.overrides)
+    else:
+        settings = read_reconstruct_settings(request.run, request.overrides)
+        measurements, stored = _read_measurements(settings.measurements.file)
+    if settings.view is not None:
+        try:
+            measurements = replace(measurements, views=views(settings.view))
+        except DataError as error:
+            file = settings.measurements.file
+            raise SettingsError(f"{request.run}: view: the views do not fit {file}: {error}") from None
+    return settings, measurements, stored
+
+
+def _read_measurements(path: Path) -> tuple[Measurements, dict[str, Any]]:
+    """Images, and the settings they were made with; images from elsewhere have none."""
+    measurements = read_measurements(path)
+    try:
+        return measurements, read_settings(path)
+    except DataError:
+        return measurements, {}
+
+
+def execute(job: Job) -> Outcome:
+    """Recovers the cloud; the folder has a history and checkpoints from the first iteration on."""
+    _say_what_begins(job)
+    mask = _carve(job) if job.resumed is None else job.resumed.mask
+    before = [] if job.resumed is None else records(job.resumed)
+    job.folder.begin(_description(job), before or None)
+    try:
+        with (
+            ReconstructionProgress(job.console, job.settings.run.time_limit) as show,
+            StopRequest().listening() as stop,
+        ):
+            show.go_on(before)
+
+            def record(iteration: IterationRecord) -> None:
+                job.folder.append(iteration)
+                show(iteration)
+
+            result = reconstruct(
+                job.scene,
+                job.measurements,
+                job.settings.stage,
+                job.settings.prior,
+                job.settings.solver,
+                mask=mask,
+                device=job.device,
+                seed=job.seed,
+                time_limit=job.settings.run.time_limit,
+                truth=job.truth,
+                callback=record,
+                checkpoint=job.folder.checkpoint_file,
+                checkpoint_interval=job.settings.run.checkpoint_interval,
+                resume=job.resumed,
+                stop=stop,
+                uncertainty=job.settings.run.uncertainty,
+            )
+    except (DeviceError, DataError) as error:
+        # Of the device, or of the disk: both may be in order tomorrow.
+        kept = job.folder.checkpoint_file
+        if kept.is_file() and (job.folder.started or isinstance(error, DeviceError)):
+            again = job.request.resume_command
+            raise type(error)(f"{error}\nwhat was reached is kept in {kept}: {again}") from None
+        raise
+    finally:
+        job.folder.close()
+    return Outcome(result, stop.signal_number)
+
+
+def _say_what_begins(job: Job) -> None:
+    measurements, resumed = job.measurements, job.resumed
+    if measurements.bad_pixels:
+        share = measurements.bad_pixels / sum(image.size for image in measurements.images)
+        job.say(f"{measurements.bad_pixels} bad pixels ({share:.2%}) are not used")
+    if resumed is None:
+        if job.request.resume:
+            job.say(f"{job.request.output} has no checkpoint: starting from the beginning")
+        return
+    where = f"stage {resumed.stage + 1}, iteration {resumed.iterations}"
+    job.say(f"going on from {where}, {duration(resumed.seconds)}")
+    if resumed.device != job.device.name:
+        job.say(f"the run was on {resumed.device}: on {job.device.name} bits may differ")
+
+
+def _carve(job: Job) -> np.ndarray:
+    """The voxels that the images leave room for."""
+    job.say("building kernels, carving space ...")
+    mask = carved_mask(job.scene, job.measurements, job.device)
+    job.say(f"space carving keeps {mask.mean():.1%} of the voxels")
+    return mask
+
+
+def _description(job: Job) -> dict[str, Any]:
+    """What settings.json says of the run."""
+    tables = (("measurements", job.settings.measurements), ("truth", job.settings.truth))
+    return {
+        "settings": job.stored_settings,
+        # As seen from the run folder, so that both may move together.
+        "files": {name: os.path.relpath(table.file, job.request.output) for name, table in tables if table is not None},
+        "scene": stored_scene(job.scene),
+        "seed": job.seed,
+        "device": describe_device(job.device),
+        "versions": versions(),
+    }
+
+
+def deliver(job: Job, outcome: Outcome) -> None:
+    """Writes the result, then images of it and a report.
+
+    Raises
+    ------
+    Interrupted : somebody asked to stop: the result is on the disk, and nothing else was begun
+    """
+    result, output = outcome.result, job.request.output
+    last = result.history[-1]
+    _write_result(job, outcome)
+    if outcome.signal_number is not None:
+        text = f"interrupted in {outcome.where}; what was reached is in {output}: {job.request.resume_command}"
+        raise Interrupted(text, exit_status(outcome.signal_number))
+    took = duration(last.seconds)
+    job.console.print(f"{last.paths:.3g} paths in {took} on {job.device.name}: {outcome.state}", soft_wrap=True)
+    if not result.extinction.any():
+        job.say("the images leave no cloud: take less noisy ones, or give the prior less weight ([prior])")
+        return
+    job.say("rendering the images of the recovered cloud ...")
+    iteration = len(result.history) + 1
+    write_modelled(job.folder, job.scene, job.measurements, result.extinction, job.device, job.seed, iteration)
+    if job.request.with_report:
+        job.say(f"drawing figures and {job.folder.report_file} ...")
+        make_report(output, quiet=True)
+    job.say(f"{_summary(result, job.truth)}  {output}")
+
+
+def _write_result(job: Job, outcome: Outcome) -> None:
+    """reconstruction.nc, with what repeats the run."""
+    result = outcome.result
+    last = result.history[-1]
+    attributes = {
+        "source": source(),
+        "seed": job.seed,
+        "device": describe_device(job.device),
+        "versions": versions(),
+        "paths": float(last.paths),
+        "seconds": last.seconds,
+        "state": outcome.state,
+    }
+    settings = {"scene": stored_scene(job.scene), "reconstruct": job.stored_settings, "seed": job.seed}
+    job.folder.write_reconstruction(
+        result.grid,
+        result.extinction,
+        result.mask,
+        attributes,
+        job.measurements,
+        settings,
+        result.standard_error,
+    )
+
+
+def _summary(result: Reconstruction, truth: np.ndarray | None) -> str:
+    """The errors if the truth is known, otherwise the optical mass."""
+    if truth is None:
+        return f"optical mass {float(result.extinction.sum(dtype=float)) * result.grid.voxel_volume:.4g} km^2"
+    return f"eps {epsilon(result.extinction, truth):.3f}  delta {delta(result.extinction, truth):+.1%}"

@@ -1,0 +1,46 @@
+"""How much memory a stage of a recovery takes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cloudtomo_cl.inversion.pixels import active_pixels
+from cloudtomo_cl.inversion.stages import Stage
+from cloudtomo_cl.memory import require_countable, shape_text, voxels_of
+from cloudtomo_cl.opencl.memory import Footprint
+from cloudtomo_cl.scene.grid import coarsened
+from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.transport.radiance import footprint
+
+# On the device: the prior's arrays. On the host: extinctions of the stage and of the finest grid.
+_PRIOR_BYTES_PER_VOXEL, _HOST_BYTES_PER_VOXEL = 56, 40
+
+
+def stage_footprint(
+    scene: Scene, measurements: Measurements, stage: Stage, solver: Any = None, mask: np.ndarray | None = None
+) -> Footprint:
+    """What a stage takes at its largest.
+
+    Parameters
+    ----------
+    solver : whose method `footprint(pixels, voxels)` says what it keeps for its active pixels and the mask's voxels
+    mask : bool, on the scene's grid; without one all pixels and voxels count, and what solvers keep does not
+
+    Raises
+    ------
+    DataError : there are more voxels or pixels than kernels count; no pixel sees the mask
+    """
+    voxels, finest = voxels_of(stage.grid), voxels_of(scene.grid.shape)
+    pixels = sum(image.size for image in measurements.images)
+    what = f"a reconstruction with {shape_text(stage.grid)} voxels and {pixels} pixels"
+    require_countable(max(voxels, finest), pixels, what)
+    needed = footprint(voxels, pixels, pixels * (stage.samples or 0))
+    needed += Footprint(_PRIOR_BYTES_PER_VOXEL * voxels, 8 * voxels, _HOST_BYTES_PER_VOXEL * (voxels + finest))
+    if mask is not None and hasattr(solver, "footprint"):
+        kept = coarsened(mask, stage.grid)
+        active = active_pixels(measurements.at_share(stage.pixels), scene.grid.with_shape(stage.grid), kept)
+        needed += solver.footprint(len(active), int(kept.sum()))
+    return needed

@@ -1,0 +1,42 @@
+"""Derivatives of all pixels, averaged over iterations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from cloudtomo_cl.inversion.linear_model import Jacobian
+from cloudtomo_cl.inversion.problem import Problem
+from cloudtomo_cl.transport.derivatives import RadianceField
+from cloudtomo_cl.transport.radiance import Rendering
+
+
+class JacobianAverage:
+    """The average of the derivatives of some iterations; it is changed in place, for it is large.
+
+    Parameters
+    ----------
+    problem : whose pixels and voxels
+    rate : share of an iteration, counted from 0, in the average
+    """
+
+    def __init__(self, problem: Problem, rate: Callable[[int], float]) -> None:
+        self._table = RadianceField(problem.operator)
+        self._rate = rate
+        self._values: np.ndarray | None = None
+        self._iterations = 0
+
+    @property
+    def jacobian(self) -> Jacobian:
+        """The average so far."""
+        assert self._values is not None
+        return Jacobian(self._values)
+
+    def add(self, problem: Problem, extinction: np.ndarray, seed: int, stream: int) -> Rendering:
+        """Renders an extinction, km^-1, shape (voxels,), and averages its derivatives in; returns the rendering."""
+        samples = problem.samples or problem.default_samples
+        rendering = problem.operator.render(problem.on_grid(extinction), samples, seed, stream, keep_paths=True)
+        self._values = self._table.jacobian(rendering, self._values, self._rate(self._iterations))
+        self._iterations += 1
+        return rendering

@@ -1,0 +1,204 @@
+"""Images of a cloud as a problem for the extinction of the voxels that may hold cloud."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.inversion.carving import carved_mask
+from cloudtomo_cl.inversion.objective import AveragedImage
+from cloudtomo_cl.inversion.pixels import ActivePixels, active_pixels
+from cloudtomo_cl.inversion.priors import BoundPrior, NoiseUnits, Prior, Regulariser, bound_prior
+from cloudtomo_cl.inversion.voxels import Voxels
+from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
+from cloudtomo_cl.scene.grid import Grid, coarsened
+from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.transport.derivatives import RadianceField
+from cloudtomo_cl.transport.radiance import RadianceOperator
+
+if TYPE_CHECKING:
+    from cloudtomo_cl.inversion.linear_model import LinearModel
+
+# Paths that derivatives are made of, for each voxel of the mask, and the least of all.
+_PATHS_PER_VOXEL = 45
+_LEAST_PATHS = 50_000
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Least squares: extinctions x >= 0 that make 1/2 sum w (image(x) - measured)^2 and the prior least.
+
+    Unknowns x are the extinctions of the mask's voxels, km^-1, in the order of `extinction[mask]`.
+
+    Attributes
+    ----------
+    voxels : the unknowns' grid and mask
+    active : valid pixels that look at them, and what was measured there
+    operator : renders and differentiates these pixels
+    prior : for these voxels
+    prior_weight : factor of the prior
+    samples : paths per pixel that derivatives are made of; by default the solver's choice
+    """
+
+    voxels: Voxels
+    active: ActivePixels
+    operator: RadianceOperator
+    prior: BoundPrior
+    prior_weight: float = 1.0
+    samples: int | None = None
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        measurements: Measurements,
+        *,
+        mask: np.ndarray | None = None,
+        prior: Prior | Regulariser | None = None,
+        grid: Sequence[int] | None = None,
+        device: Device | None = None,
+        prior_weight: float = 1.0,
+        samples: int | None = None,
+    ) -> Problem:
+        """The problem of a scene and its images.
+
+        Parameters
+        ----------
+        scene : what is known: grid, optics, sun, air, surface, boundary
+        measurements : images and views
+        mask : bool on the scene's grid, where cloud may be; by default what carving leaves (`carve`)
+        prior : by default `Prior()`; or an object of your own, see `Regulariser`
+        grid : numbers of voxels along x, y, z that the same domain is to have; by default the scene's
+        device : where to compute; by default `choose_device()`
+        prior_weight : factor of the prior
+        samples : paths per pixel that derivatives are made of, even; by default the solver's choice
+
+        Raises
+        ------
+        DataError : an array does not fit the scene's grid, no voxel may hold cloud, or no pixel sees one
+        """
+        device = device or choose_device()
+        if mask is None:
+            mask = carved_mask(scene, measurements, device)
+        mask = checked_mask(mask, scene.grid)
+        shape = scene.grid.shape if grid is None else tuple(grid)
+        coarse = replace(scene, grid=scene.grid.with_shape(shape))
+        voxels = Voxels(coarse.grid, coarsened(mask, shape))
+        active = active_pixels(measurements, coarse.grid, voxels.mask)
+        operator = RadianceOperator(coarse, active.views, device, active.listed, mask=voxels.mask)
+        return cls(voxels, active, operator, bound_prior(prior or Prior(), voxels, device), prior_weight, samples)
+
+    def __repr__(self) -> str:
+        return f"Problem({len(self.active)} pixels, {len(self.voxels)} voxels of {self.grid.text})"
+
+    @property
+    def grid(self) -> Grid:
+        """The grid that the unknowns lie on."""
+        return self.voxels.grid
+
+    @property
+    def mask(self) -> np.ndarray:
+        """Which voxels may hold cloud: bool, shape of the grid."""
+        return self.voxels.mask
+
+    @property
+    def pixels(self) -> np.ndarray:
+        """(view, row * width + column) of the active pixels, shape (pixels, 2)."""
+        return self.active.listed
+
+    @property
+    def radiance(self) -> np.ndarray:
+        """Measured, W m^-2 sr^-1, shape (pixels,)."""
+        return self.active.radiance
+
+    @property
+    def weights(self) -> np.ndarray:
+        """w of the squared residuals, shape (pixels,)."""
+        return self.active.weights
+
+    @property
+    def default_samples(self) -> int:
+        """Paths per pixel that derivatives are made of, where nobody says."""
+        return max(2, 2 * round(max(_PATHS_PER_VOXEL * len(self.voxels), _LEAST_PATHS) / len(self.active) / 2))
+
+    def on_grid(self, x: np.ndarray) -> np.ndarray:
+        """Extinctions of the voxels on the grid, km^-1, float32; 0 outside of the mask."""
+        return self.voxels.on_grid(x)
+
+    def linearise(
+        self, x: np.ndarray, *, samples: int | None = None, seed: int = 0, stream: int = 1
+    ) -> LinearModel:
+        """Images and their derivatives at an extinction.
+
+        Parameters
+        ----------
+        x : km^-1, shape (voxels,)
+        samples : paths per pixel, even; by default `default_samples`
+        seed, stream : of the random numbers: the same ones give the same model
+
+        Raises
+        ------
+        DataError : x has another shape, or is negative or not finite; there is not memory enough
+        TransportError, AuditError : the device computes wrongly
+        """
+        from cloudtomo_cl.inversion.linear_model import Jacobian, LinearModel
+
+        x = self._checked(x)
+        rendering = self.operator.render(
+            self.on_grid(x), samples or self.samples or self.default_samples, seed, stream, keep_paths=True
+        )
+        jacobian = Jacobian(RadianceField(self.operator).jacobian(rendering))
+        return LinearModel(x.copy(), rendering.mean, rendering.standard_error**2, jacobian, rendering)
+
+    @device_errors("the cost and its gradient")
+    def value_and_gradient(
+        self, x: np.ndarray, *, samples: int | None = None, seed: int = 0, stream: int = 1
+    ) -> tuple[float, np.ndarray]:
+        """The cost, data term and prior, and its gradient in km, shape (voxels,): for `scipy.optimize.minimize`.
+
+        Both are without bias from the images' noise. With the same seed and stream they are functions of x alone.
+        Parameters and errors as of `linearise`.
+        """
+        x = self._checked(x)
+        count = samples or self.samples or self.default_samples
+        rendering = self.operator.render(self.on_grid(x), count, seed, stream, keep_paths=True)
+        image = AveragedImage.empty(len(self.active))
+        data = (rendering.halves, self.radiance, self.weights, self.active.gains)
+        value, _ = image.cost(*data)
+        gradient, _ = RadianceField(self.operator).gradient(rendering, image.adjoint(*data), self._nothing())
+        of_prior, prior_gradient = self.prior.value_and_gradient(x, self.units())
+        return value + of_prior, gradient.get()[self.mask].astype(float) + prior_gradient
+
+    def units(self, modelled_noise: float = 0.0) -> NoiseUnits:
+        """What the prior is multiplied with.
+
+        modelled_noise : what noise of the modelled images adds to the data term
+        """
+        measured = self.active.unit
+        return NoiseUnits(measured, measured + 2 * modelled_noise / len(self.active), self.prior_weight)
+
+    def _nothing(self) -> Any:
+        import pyopencl.array
+
+        return pyopencl.array.zeros(self.operator.device.queue, self.grid.shape, np.float32)
+
+    def _checked(self, x: np.ndarray) -> np.ndarray:
+        x = np.asarray(x, float)
+        if x.shape != (len(self.voxels),):
+            raise DataError(f"x has shape {x.shape}: it must be ({len(self.voxels)},), the voxels of the mask")
+        return x
+
+
+def checked_mask(mask: np.ndarray, grid: Grid) -> np.ndarray:
+    """A mask as bool. DataError if it is not of the grid, or leaves nothing."""
+    mask = np.asarray(mask, bool)
+    if mask.shape != grid.shape:
+        raise DataError(f"mask has shape {mask.shape}, the grid {grid.shape}")
+    if not mask.any():
+        raise DataError("the mask is empty: no voxel may hold cloud; are images, views and surface right?")
+    return mask

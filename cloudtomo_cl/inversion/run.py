@@ -1,0 +1,218 @@
+"""A run of a recovery: what is done after every iteration (watchers), and when it ends (stopping rules)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from cloudtomo_cl.errors import DataError, TransportError
+from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, rows
+from cloudtomo_cl.inversion.problem import Problem
+from cloudtomo_cl.inversion.records import IterationRecord
+from cloudtomo_cl.inversion.solvers.protocol import Progress
+from cloudtomo_cl.inversion.solvers.state import arrays_of
+from cloudtomo_cl.inversion.stages import Stage, has_settled
+from cloudtomo_cl.scene.grid import resample_in_mask
+from cloudtomo_cl.scene.metrics import delta, epsilon
+
+# Beyond any cloud: the optical depth across a voxel at which a descent has diverged.
+LARGEST_VOXEL_DEPTH = 1000.0
+
+
+@dataclass
+class Run:
+    """What goes on from stage to stage.
+
+    Attributes
+    ----------
+    stages : all of them
+    mask : bool, on the finest grid
+    stage, iteration : where the run stands: counted from 0, and done in this stage
+    history, stage_ends : as of `Reconstruction`
+    start : the clock's time at which it began, were there no resumes
+    """
+
+    stages: Sequence[Stage]
+    mask: np.ndarray
+    stage: int = 0
+    iteration: int = 0
+    history: list[IterationRecord] = field(default_factory=list)
+    stage_ends: list[float] = field(default_factory=list)
+    start: float = field(default_factory=time.perf_counter)
+
+    @classmethod
+    def resumed(cls, stages: Sequence[Stage], mask: np.ndarray, checkpoint: Checkpoint) -> Run:
+        """As a checkpoint has it."""
+        return cls(
+            stages,
+            mask,
+            checkpoint.stage,
+            checkpoint.iterations,
+            records(checkpoint),
+            list(checkpoint.stage_ends),
+            time.perf_counter() - checkpoint.seconds,
+        )
+
+    @property
+    def seconds(self) -> float:
+        """Since the start, without what lay between a run and its resume."""
+        return time.perf_counter() - self.start
+
+    @property
+    def paths(self) -> int:
+        """Of all iterations so far."""
+        return self.history[-1].paths if self.history else 0
+
+    def on_finest_grid(self, extinction: np.ndarray) -> np.ndarray:
+        """An extinction on any grid of the domain, on the finest one, float32; 0 outside of the mask."""
+        return resample_in_mask(extinction, self.mask).astype(np.float32)
+
+
+class Watcher(Protocol):
+    """Is called after every iteration; `run` counts it already, but for what earlier watchers have yet to add."""
+
+    def __call__(self, run: Run, problem: Problem, state: Any, progress: Progress) -> None: ...
+
+
+class StoppingRule(Protocol):
+    """Whether no iteration may follow. Asked only where one would."""
+
+    def __call__(self, run: Run) -> bool: ...
+
+
+def guard_divergence(run: Run, problem: Problem, state: Any, progress: Progress) -> None:
+    """Stops a solver that runs away, before a render of it takes for ever.
+
+    Raises
+    ------
+    TransportError : a voxel of what would be rendered next is deeper than any cloud's, or the cost is not finite
+    """
+    depth = np.asarray(state.extinction) * max(problem.grid.spacing)
+    wrong = np.flatnonzero(~(depth < LARGEST_VOXEL_DEPTH))
+    where = f"in stage {run.stage}, iteration {run.iteration}"
+    if len(wrong):
+        voxel = tuple(int(i) for i in np.argwhere(problem.mask)[wrong[0]])
+        raise TransportError(
+            f"the extinction diverged {where}: voxel {voxel} of the grid {problem.grid.shape} has the optical depth "
+            f"{depth[wrong[0]]:.3g}; choose a smaller step_size of the solver"
+        )
+    if not np.isfinite(progress.cost + progress.prior):
+        raise TransportError(f"the cost is not finite {where}")
+
+
+@dataclass(frozen=True)
+class KeepHistory:
+    """Adds a record to the history, with the errors against a known truth, and tells the user's callback.
+
+    Attributes
+    ----------
+    truth : km^-1, on the finest grid
+    """
+
+    truth: np.ndarray | None = None
+    callback: Callable[[IterationRecord], None] | None = None
+
+    def __call__(self, run: Run, problem: Problem, state: Any, progress: Progress) -> None:
+        errors: dict[str, float] = {}
+        if self.truth is not None:
+            estimate = run.on_finest_grid(problem.on_grid(state.estimate))
+            errors = {"epsilon": epsilon(estimate, self.truth), "delta": delta(estimate, self.truth)}
+        record = IterationRecord(
+            stage=run.stage,
+            stages=len(run.stages),
+            iteration=run.iteration,
+            iterations=run.stages[run.stage].iterations,
+            seconds=run.seconds,
+            paths=run.paths + progress.paths,
+            cost=progress.cost,
+            cost_standard_error=progress.cost_standard_error,
+            prior=progress.prior,
+            **errors,
+        )
+        run.history.append(record)
+        run.iteration += 1
+        if self.callback:
+            self.callback(record)
+
+
+@dataclass(frozen=True)
+class KeepCheckpoints:
+    """Takes checkpoints after the first iteration, and whenever the interval is over; `now` at the end of a stage."""
+
+    checkpoints: Checkpoints
+    identity: dict[str, Any]
+    device_name: str
+
+    def __call__(self, run: Run, problem: Problem, state: Any, progress: Progress) -> None:
+        self.take(len(run.history) == 1, run, state)
+
+    def take(self, now: bool, run: Run, state: Any) -> None:
+        """One, if it is time or must be now."""
+
+        def checkpoint() -> Checkpoint:
+            return Checkpoint(
+                identity=self.identity,
+                device=self.device_name,
+                stage=run.stage,
+                iterations=run.iteration,
+                seconds=run.seconds,
+                stage_ends=list(run.stage_ends),
+                history=rows(run.history),
+                state={**arrays_of(state), "mask": run.mask},
+            )
+
+        self.checkpoints.take(now, run.stage, run.iteration, checkpoint)
+
+
+@dataclass
+class TimeLimit:
+    """Ends a run before an iteration that would end after the limit, if it is as long as the last one.
+
+    Attributes
+    ----------
+    seconds : over all resumes; none: no limit
+    reached : whether it has ended the run
+    """
+
+    seconds: float | None
+    reached: bool = False
+
+    def __call__(self, run: Run) -> bool:
+        times = [record.seconds for record in run.history[-2:]]
+        last = times[1] - times[0] if len(times) > 1 else 0.0
+        if self.seconds is not None and run.seconds + last >= self.seconds:
+            self.reached = True
+        return self.reached
+
+
+@dataclass
+class StopRequested:
+    """Ends a run that somebody asks to stop; once asked, it stays so."""
+
+    asked: Callable[[], bool] | None
+    stopped: bool = False
+
+    def __call__(self, run: Run) -> bool:
+        self.stopped = self.stopped or (self.asked is not None and self.asked())
+        return self.stopped
+
+
+def settled(run: Run) -> bool:
+    """Whether the stage's cost has stopped falling (`has_settled`)."""
+    here = [record for record in run.history if record.stage == run.stage]
+    costs = [record.cost + record.prior for record in here]
+    return has_settled(costs, [record.cost_standard_error for record in here], run.stages[run.stage].window)
+
+
+def records(checkpoint: Checkpoint) -> list[IterationRecord]:
+    """The history of a checkpoint. DataError if another version made it."""
+    try:
+        return [IterationRecord(**row) for row in checkpoint.history]
+    except TypeError:
+        raise DataError("the checkpoint was made by another version: go on with that, or start a new run") from None
+
+

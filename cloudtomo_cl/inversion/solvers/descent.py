@@ -1,0 +1,223 @@
+"""Stochastic gradient descent on the misfit of images and the prior: Adam, and plain steps (SGD)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass as plain_dataclass
+from dataclasses import replace
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass
+
+from cloudtomo_cl.inversion.objective import AveragedImage
+from cloudtomo_cl.inversion.problem import Problem
+from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
+from cloudtomo_cl.opencl.device import Device, device_errors
+from cloudtomo_cl.opencl.memory import Footprint
+from cloudtomo_cl.scene.grid import Count
+from cloudtomo_cl.scene.scene import NotNegative, Positive
+from cloudtomo_cl.transport.derivatives import RadianceField, table_footprint
+from cloudtomo_cl.transport.radiance import Rendering
+
+PATHS_PER_ITERATION = 60_000
+Decay = Annotated[float, Field(ge=0, lt=1)]
+
+
+@plain_dataclass(frozen=True, eq=False)
+class DescentState:
+    """Where a descent stands. Arrays without another unit: float32, shape (voxels,).
+
+    Attributes
+    ----------
+    extinction : km^-1
+    before : the extinction before the last step, km^-1
+    estimate : running mean of the extinction, km^-1
+    first_moment, second_moment : of the gradient; Adam's only
+    steps : done so far
+    image : the averaged modelled image
+    table : the radiance table that gradients are taken by; none with replay
+    """
+
+    extinction: np.ndarray
+    before: np.ndarray
+    estimate: np.ndarray
+    first_moment: np.ndarray
+    second_moment: np.ndarray
+    steps: int
+    image: AveragedImage
+    table: RadianceField | None
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class _Descent:
+    """What both descents have.
+
+    Attributes
+    ----------
+    iterations : on the finest of the automatic stages, at most; by default 600. A run that has done them goes on with
+        more by `--resume`, unless its cost has settled
+    start : extinction inside the mask before the first stage, km^-1
+    floor : least extinction inside the mask, km^-1; the gradient by replay needs it above 0
+    gradient : "adjoint", by the radiance that all paths together find in a voxel (little noise, no 1 / extinction),
+        or "replay", the paper's score function of each path by itself
+    parametrisation : descend in the "extinction" (km^-1), or in its "square-root" (km^-1/2), in which thin voxels
+        take smaller steps
+    step_size : length of a step in the parametrisation (Adam); factor of the gradient (SGD)
+    step_half_life : iterations of a stage after which the step is half of what it began with
+        (step_size / (1 + iteration / step_half_life)); none: constant
+    iterate_average_window : the estimate is a running mean of the extinction over about so many iterations
+    image_average_window : iterations over which modelled images are averaged into the residual; 1 is the residual of
+        crossed halves. With gradient "adjoint" the images are carried along with the extinction; with "replay" they
+        lag behind, and 20 is better
+    """
+
+    iterations: Count | None = None
+    start: Positive = 2.0
+    floor: NotNegative = 0.01
+    gradient: Literal["adjoint", "replay"] = "adjoint"
+    parametrisation: Literal["extinction", "square-root"] = "square-root"
+    step_size: Positive = 0.3
+    step_half_life: Positive | None = 100.0
+    iterate_average_window: Count = 20
+    image_average_window: Count = 100
+
+    def stage_limits(self, last: bool) -> tuple[int, int]:
+        """Iterations and window of an automatic stage.
+
+        The last one has the details to find, which show little in the cost: it is not given up early.
+        """
+        return (self.iterations or 600, 200) if last else (100, 20)
+
+    def footprint(self, pixels: int, voxels: int) -> Footprint:
+        """What moments and table take."""
+        own = Footprint(20 * voxels, 4 * voxels, 24 * voxels)
+        return own + table_footprint(voxels) if self.gradient == "adjoint" else own
+
+    def init(self, problem: Problem, extinction: np.ndarray) -> DescentState:
+        """Before the first iteration; see `Solver`."""
+        start = np.maximum(np.asarray(extinction, np.float32), np.float32(self.floor))
+        nothing = np.zeros_like(start)
+        image = AveragedImage.empty(len(problem.active))
+        table = RadianceField(problem.operator) if self.gradient == "adjoint" else None
+        return DescentState(start, start, start, nothing, nothing, 0, image, table)
+
+    def step(self, problem: Problem, state: DescentState, *, seed: int, stream: int) -> tuple[DescentState, Progress]:
+        """One iteration; see `Solver`.
+
+        Raises
+        ------
+        TransportError : the gradient is not finite
+        """
+        samples = problem.samples or max(2, 2 * round(PATHS_PER_ITERATION / len(problem.active) / 2))
+        values = problem.on_grid(state.extinction)
+        rendering = problem.operator.render(values, samples, seed, stream, keep_paths=True)
+        window = self.image_average_window
+        data = (rendering.halves, problem.radiance, problem.weights, problem.active.gains, window)
+        cost, error = state.image.cost(*data)
+        gradient, change = self._gradient(problem, state, rendering, state.image.adjoint(*data))
+        image = state.image.with_halves(rendering.halves, window)
+        if change is not None:
+            image = image.moved(change, window)
+        prior, prior_gradient = problem.prior.value_and_gradient(
+            state.extinction, problem.units(image.noise(problem.weights))
+        )
+        gradient = gradient + prior_gradient.astype(np.float32)
+        check_gradient(gradient, problem, stream)
+        state = self.moved(replace(state, image=image), gradient, problem.operator.device)
+        return state, Progress(cost, error, prior, samples * len(problem.active))
+
+    def _gradient(
+        self, problem: Problem, state: DescentState, rendering: Rendering, adjoint: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Of the data term, and what the last step changed radiances by, if the table tells."""
+        if state.table is None:
+            return problem.operator.gradient(rendering, adjoint).get()[problem.mask], None
+        import pyopencl.array
+
+        change = problem.on_grid(state.extinction - state.before)
+        on_device = pyopencl.array.to_device(problem.operator.device.queue, change)
+        gradient, tangent = state.table.gradient(rendering, adjoint, on_device)
+        return gradient.get()[problem.mask], tangent
+
+    @device_errors("the descent's step")
+    def moved(self, state: DescentState, gradient: np.ndarray, device: Device) -> DescentState:
+        """One step against a gradient, cost per km^-1."""
+        import pyopencl.array as cl_array
+
+        length = self.step_length(state.steps)
+        steps = state.steps + 1
+        arrays = [
+            cl_array.to_device(device.queue, np.ascontiguousarray(array, np.float32))
+            for array in (state.extinction, gradient, state.first_moment, state.second_moment)
+        ]
+        extinction, slope, *moments = arrays
+        everywhere = cl_array.to_device(device.queue, np.ones(gradient.size, np.uint8))
+        device.launch(
+            device.kernel("optimizer", self._kernel),
+            gradient.size,
+            np.uint32(gradient.size),
+            extinction.data,
+            everywhere.data,
+            slope.data,
+            np.float32(length),
+            np.int32(self.parametrisation == "square-root"),
+            np.float32(self.floor),
+            *self._of_moments(moments, steps),
+        )
+        moved = extinction.get()
+        rate = np.float32(1 / min(steps, self.iterate_average_window))
+        return replace(
+            state,
+            extinction=moved,
+            before=state.extinction,
+            estimate=state.estimate + (moved - state.estimate) * rate,
+            first_moment=moments[0].get(),
+            second_moment=moments[1].get(),
+            steps=steps,
+        )
+
+    def step_length(self, steps: int) -> float:
+        """Of the step after so many others."""
+        return self.step_size / (1 + steps / self.step_half_life) if self.step_half_life else self.step_size
+
+    @property
+    def _kernel(self) -> str:
+        raise NotImplementedError
+
+    def _of_moments(self, moments: list[Any], steps: int) -> tuple[Any, ...]:
+        return ()
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class Adam(_Descent):
+    """Descends by Adam (Kingma and Ba 2015).
+
+    Attributes
+    ----------
+    beta1, beta2 : decay of the gradient's first and second moment
+    """
+
+    type: Literal["adam"] = "adam"
+    beta1: Decay = 0.9
+    beta2: Decay = 0.999
+
+    @property
+    def _kernel(self) -> str:
+        return "adam_step"
+
+    def _of_moments(self, moments: list[Any], steps: int) -> tuple[Any, ...]:
+        betas = (self.beta1, self.beta2)
+        corrections = (1 / (1 - beta**steps) for beta in betas)
+        return (*(moment.data for moment in moments), *map(np.float32, betas), *map(np.float32, corrections))
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class SGD(_Descent):
+    """Descends by plain steps against the gradient."""
+
+    type: Literal["sgd"] = "sgd"
+
+    @property
+    def _kernel(self) -> str:
+        return "sgd_step"

@@ -1,0 +1,65 @@
+"""What a solver is: two functions, of a problem and of where the iterations stand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from cloudtomo_cl.errors import TransportError
+from cloudtomo_cl.inversion.problem import Problem
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What an iteration tells: the data term at its start, its standard error, the prior, and paths walked."""
+
+    cost: float
+    cost_standard_error: float
+    prior: float
+    paths: int
+
+
+class State(Protocol):
+    """Where iterations stand: a frozen dataclass whose fields are kept in checkpoints (`state.py`)."""
+
+    @property
+    def extinction(self) -> np.ndarray:
+        """What the next iteration renders, km^-1, shape (voxels,)."""
+        ...
+
+    @property
+    def estimate(self) -> np.ndarray:
+        """What to hand out, km^-1, shape (voxels,): usually a mean over the last iterations."""
+        ...
+
+
+class Solver(Protocol):
+    """How a stage's iterations find the extinction.
+
+    An optional method `standard_error(problem, state, draws, seed)` gives that of the estimate, km^-1, shape
+    (voxels,), or None where it is not known.
+    """
+
+    def init(self, problem: Problem, extinction: np.ndarray) -> Any:
+        """The state before the first iteration of a stage, from an extinction in km^-1, shape (voxels,)."""
+        ...
+
+    def step(self, problem: Problem, state: Any, *, seed: int, stream: int) -> tuple[Any, Progress]:
+        """The state after one more iteration, whose random numbers are those of (seed, stream).
+
+        A state may be stepped once: what is too large to be copied is handed on to the next one.
+        """
+        ...
+
+
+def check_gradient(gradient: np.ndarray, problem: Problem, stream: int) -> None:
+    """TransportError if one, shape (voxels,), is not finite: bounds would make a clear voxel of it, unseen."""
+    wrong = np.flatnonzero(~np.isfinite(gradient))
+    if len(wrong):
+        voxel = tuple(int(i) for i in np.argwhere(problem.mask)[wrong[0]])
+        raise TransportError(
+            f"the gradient is not finite at voxel {voxel} of the grid {problem.grid.shape} (stream {stream}): "
+            "the device or its driver is at fault, or the optics are extreme; try another device"
+        )

@@ -1,0 +1,92 @@
+"""A solver's state as arrays, and back: by the names of its fields."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import field, fields, is_dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from cloudtomo_cl.errors import DataError
+
+_State = TypeVar("_State")
+
+
+def not_saved(**options: Any) -> Any:
+    """A field of a state that checkpoints leave out, for it can be made again."""
+    return field(metadata={"saved": False}, **options)
+
+
+def of_any_length(**options: Any) -> Any:
+    """A field that is an array of which only the first dimension is free."""
+    return field(metadata={"any_length": True}, **options)
+
+
+def arrays_of(state: Any, prefix: str = "") -> dict[str, np.ndarray]:
+    """The fields of a state as arrays on the host: "name", or "name.inner" of what has fields or arrays itself."""
+    arrays: dict[str, np.ndarray] = {}
+    for name, value in _saved(state):
+        if is_dataclass(value):
+            arrays |= arrays_of(value, f"{prefix}{name}.")
+        elif hasattr(value, "arrays"):
+            arrays |= {f"{prefix}{name}.{inner}": array for inner, array in value.arrays().items()}
+        else:
+            arrays[prefix + name] = np.array(value)
+    return arrays
+
+
+def restored(state: _State, arrays: Mapping[str, np.ndarray]) -> _State:
+    """The state that `arrays_of` took apart.
+
+    Parameters
+    ----------
+    state : one of the same problem, as `Solver.init` makes it: every field must be there as it has it
+
+    Raises
+    ------
+    DataError : a field is missing, unknown, or has another type or shape than it must, or is not finite
+    """
+    expected, found = set(arrays_of(state)), set(arrays)
+    if expected != found:
+        wrong = [f"lacks {name}" for name in sorted(expected - found)]
+        wrong += [f"has an unknown {name}" for name in sorted(found - expected)]
+        raise DataError("the state " + ", ".join(wrong))
+    return _restored(state, arrays, "")
+
+
+def _restored(state: Any, arrays: Mapping[str, np.ndarray], prefix: str) -> Any:
+    changes: dict[str, Any] = {}
+    for name, value in _saved(state):
+        if is_dataclass(value):
+            changes[name] = _restored(value, arrays, f"{prefix}{name}.")
+        elif hasattr(value, "arrays"):
+            own = {inner: arrays[f"{prefix}{name}.{inner}"] for inner in value.arrays()}
+            for inner, array in value.arrays().items():
+                _check(f"{prefix}{name}.{inner}", own[inner], array)
+            value.restore(own)
+        else:
+            free = bool(_field(state, name).metadata.get("any_length"))
+            array = _check(prefix + name, arrays[prefix + name], np.array(value), free)
+            changes[name] = array.copy() if array.ndim else array.item()
+    return replace(state, **changes)
+
+
+def _check(name: str, array: np.ndarray, like: np.ndarray, any_length: bool = False) -> np.ndarray:
+    same_shape = array.shape == like.shape
+    if any_length and array.ndim == like.ndim:
+        same_shape = array.shape[1:] == like.shape[1:]
+    if not same_shape or array.dtype != like.dtype:
+        wanted = f"{like.dtype} {('any', *like.shape[1:]) if any_length else like.shape}"
+        raise DataError(f"{name} of the state is {array.dtype} {array.shape}: it must be {wanted}")
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        raise DataError(f"{name} of the state is not finite")
+    return array
+
+
+def _saved(state: Any) -> list[tuple[str, Any]]:
+    return [(own.name, getattr(state, own.name)) for own in fields(state) if own.metadata.get("saved", True)]
+
+
+def _field(state: Any, name: str) -> Any:
+    return next(own for own in fields(state) if own.name == name)

@@ -1,0 +1,35 @@
+"""The unknowns of a recovery: the extinction of the voxels that may hold cloud."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cloudtomo_cl.scene.grid import Grid
+
+
+@dataclass(frozen=True, eq=False)
+class Voxels:
+    """Voxels of a mask, in the order of `array[mask]`.
+
+    Attributes
+    ----------
+    grid : where they lie
+    mask : bool, shape of the grid
+    """
+
+    grid: Grid
+    mask: np.ndarray
+
+    def __len__(self) -> int:
+        return int(np.count_nonzero(self.mask))
+
+    def __repr__(self) -> str:
+        return f"Voxels({len(self)} of {self.grid.text})"
+
+    def on_grid(self, values: np.ndarray) -> np.ndarray:
+        """Values of the voxels, shape (voxels,), on the grid, float32; 0 outside of the mask."""
+        array = np.zeros(self.mask.shape, np.float32)
+        array[self.mask] = values
+        return array
