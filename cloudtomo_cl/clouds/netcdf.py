@@ -129,8 +129,7 @@ def _says_otherwise(variable: xr.DataArray, kind: str) -> str:
 
 
 def _stated_units(variable: xr.DataArray) -> str | None:
-    units = variable.attrs.get("units")
-    return units.strip() if isinstance(units, str) and units.strip() else None
+    return str(variable.attrs.get("units", "")).strip() or None
 
 
 def _field(

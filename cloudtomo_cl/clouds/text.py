@@ -13,12 +13,14 @@ from cloudtomo_cl.clouds.quantities import Quantity, ReadingOptions, box_edges, 
 from cloudtomo_cl.clouds.volume import CloudVolume
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.axes import edges_between
-from cloudtomo_cl.memory import require_grid
+from cloudtomo_cl.memory import require, require_countable, shape_text, voxels_of
 
 _EXPECTED = (
     "text must hold '# comment', 'nx ny nz', 'dx dy z1 ... znz' (km), and lines "
     "'ix iy iz water_content effective_radius' (g m^-3, um); names of columns may stand above them"
 )
+# Of the arrays that live at the same time.
+_BYTES_PER_VOXEL = 64
 _INDICES = (("x", "y", "z"), ("i", "j", "k"), ("ix", "iy", "iz"), ("x_idx", "y_idx", "z_idx"))
 WATER_COLUMNS = ("lwc", "density", "liquid_water_content", "cloud_water_content", "clwc", "water_content")
 RADIUS_COLUMNS = ("reff", "effective_radius", "re", "r_eff", "reffective")
@@ -60,7 +62,8 @@ def read_text_cloud(path: Path, text: str, options: ReadingOptions) -> CloudVolu
         if temperatures != shape[2]:
             raise DataError(f"{path}: has {temperatures} temperatures for {shape[2]} levels")
     wanted = _columns(path, lines)
-    require_grid(shape, str(path))
+    require_countable(voxels_of(shape), 0, f"{path}: {shape_text(shape)} voxels")
+    require(_BYTES_PER_VOXEL * voxels_of(shape), f"{path}: an extinction of {shape_text(shape)} voxels", "crop it")
     water, radius, missing = _voxels(path, lines, shape, first, wanted)
     radius_read = Quantity(f"column {missing[1]}", "effective radius", radius, "um", True)
     # The levels are points on which SHDOM interpolates; x and y are told by their spacing only, and start at 0.

@@ -161,10 +161,10 @@ def read_axis(path: Any, dataset: xr.Dataset, dimension: str, letter: str, spaci
     variable = dataset[name]
     points = _points(path, name, variable)
     _refuse_other_levels(path, name, variable, letter)
-    units = variable.attrs.get("units")
+    units = str(variable.attrs.get("units", "")).strip()
     downward = letter == "z" and _positive(path, name, variable) == "down"
-    said = isinstance(units, str) and bool(units.strip())
-    numbers = _NUMBERS.fullmatch(units.strip()) if said else None
+    said = bool(units)
+    numbers = _NUMBERS.fullmatch(units) if said else None
     counted = count > 1 and np.allclose(np.abs(np.diff(points)), 1.0) and np.allclose(points, np.round(points))
     if spacing is not None and (numbers or (not said and counted)):
         falls = downward != bool(count > 1 and points[0] > points[-1])

@@ -201,4 +201,5 @@ def require_present(path: Any, name: str, values: np.ndarray, remedy: str, among
 def undeclared_fill(values: np.ndarray) -> np.ndarray:
     """Where a value that must not be negative looks like a program's mark for "missing" that no attribute tells."""
     with np.errstate(invalid="ignore"):
-        return np.isin(values, np.float32(_UNDECLARED)) | np.isin(values, _UNDECLARED) | (np.abs(values) >= _BEYOND)
+        single = np.array(_UNDECLARED, np.float32)
+        return np.isin(values, single) | np.isin(values, _UNDECLARED) | (np.abs(values) >= _BEYOND)
