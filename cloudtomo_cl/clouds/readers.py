@@ -91,7 +91,7 @@ def _read_text(path: Path, options: ReadingOptions) -> CloudVolume:
 def _refuse_dimensions(path: Path, options: ReadingOptions) -> None:
     """Times and members are there in netCDF only."""
     for name, value in (("--time", options.time), ("--select", options.select)):
-        if value:
+        if value is not None:
             raise DataError(f"{path}: {name} has no effect: the file has three dimensions; leave it out")
 
 

@@ -21,6 +21,8 @@ _EXPECTED = (
 )
 # Of the arrays that live at the same time.
 _BYTES_PER_VOXEL = 64
+# The format has lengths in km and says so nowhere: what is larger is in metres.
+_LARGEST_STEP, _HIGHEST = 5.0, 30.0
 _INDICES = (("x", "y", "z"), ("i", "j", "k"), ("ix", "iy", "iz"), ("x_idx", "y_idx", "z_idx"))
 WATER_COLUMNS = ("lwc", "density", "liquid_water_content", "cloud_water_content", "clwc", "water_content")
 RADIUS_COLUMNS = ("reff", "effective_radius", "re", "r_eff", "reffective")
@@ -152,6 +154,12 @@ def _levels(path: Path, lines: list[_Line], shape: tuple[int, int, int]) -> tupl
         raise DataError(f"{path}: line {where} must begin with dx dy, both above 0 km: {_EXPECTED}")
     if len(levels) != shape[2]:
         raise DataError(f"{path}: line {where} has {len(levels)} levels, the first line says {shape[2]}")
+    steps = np.abs([*spacing, *np.diff(levels)])
+    if steps.max() > _LARGEST_STEP or levels.max() > _HIGHEST:
+        raise DataError(
+            f"{path}: line {where} has steps of {steps.max():g} and levels up to {levels.max():g} km, and no cloud "
+            f"has: they must be in km, not in metres"
+        )
     return (spacing[0], spacing[1]), levels
 
 

@@ -154,7 +154,7 @@ def test_bounds_that_do_not_hold_their_points_are_refused(pairs, arguments, mess
         (("a", "b", "c"), {"a": {"axis": "X"}, "b": {"axis": "Y"}, "c": {"axis": "Z"}}),
         (
             ("a", "b", "c"),
-            {"a": {"standard_name": "projection_x_coordinate"}, "b": {"units": "degrees_north"}, "c": {"positive": "up"}},
+            {"a": {"standard_name": "grid_longitude"}, "b": {"units": "degrees_north"}, "c": {"positive": "up"}},
         ),
         # Attributes count more than names.
         (("y", "x", "z"), {"y": {"axis": "X"}, "x": {"axis": "Y"}}),

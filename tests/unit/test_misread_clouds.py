@@ -135,7 +135,9 @@ def test_a_radius_that_no_droplet_has_is_refused(value, attributes, message):
         read_cloud(les().assign(reff=(("x", "y", "z"), np.full(WATER.shape, value), attributes)))
 
 
-@pytest.mark.parametrize(("units", "factor"), [("um", 1), ("m", 1e-6), ("µm", 1), ("microns", 1), ("mm", 1e-3), ("", 1)])
+@pytest.mark.parametrize(
+    ("units", "factor"), [("um", 1), ("m", 1e-6), ("µm", 1), ("microns", 1), ("mm", 1e-3), ("", 1)]
+)
 def test_a_radius_is_converted(units, factor):
     cloud = read_cloud(les().assign(reff=(("x", "y", "z"), np.full(WATER.shape, 10.0 * factor), {"units": units})))
     assert_is_the_cloud(cloud)
