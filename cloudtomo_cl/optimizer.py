@@ -127,18 +127,11 @@ class Descent:
         length = optimizer.step / (1 + self.steps / optimizer.halving) if optimizer.halving else optimizer.step
         self.steps += 1
         arguments = [
-            np.uint32(gradient.size),
-            self.extinction.data,
-            self._mask.data,
-            gradient.data,
-            np.float32(length),
-            np.int32(optimizer.variable == "square-root"),
-            np.float32(optimizer.floor),
-        ]
+            gradient.size, self.extinction, self._mask, gradient, length,
+            optimizer.variable == "square-root", optimizer.floor,
+        ]  # fmt: skip
         if optimizer.type == "adam":
             decays = (optimizer.decay1, optimizer.decay2)
-            arguments += [moment.data for moment in self._moments]
-            arguments += [np.float32(decay) for decay in decays]
-            arguments += [np.float32(1 / (1 - decay**self.steps)) for decay in decays]
+            arguments += [*self._moments, *decays, *(1 / (1 - decay**self.steps) for decay in decays)]
         self.device.launch(self._kernel, gradient.size, *arguments)
         self._mean += (self.extinction - self._mean) * np.float32(1 / min(self.steps, optimizer.averaging))
