@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.errors import BuildError, DeviceError
-from cloudtomo_cl.parameters import Kernel
+from cloudtomo_cl.parameters import KERNELS, Kernel
 
 ENVIRONMENT_VARIABLE = "CLOUDTOMO_DEVICE"
 WORK_GROUP_SIZE = 64
@@ -234,7 +234,7 @@ class Device:
             source = "".join(f"#define {feature}\n" for feature in features) + f'#include "{file}.cl"\n'
             program = self.build(source)
             with device_errors(f"making the kernel {name}"):
-                self._kernels[file, name, features] = Kernel(cl.Kernel(program, name), name)
+                self._kernels[file, name, features] = Kernel(cl.Kernel(program, name), name, KERNELS[name])
         return self._kernels[file, name, features]
 
     def constant(self, values: np.ndarray) -> Any:

@@ -1,12 +1,13 @@
 """The kernels' parameters: one description makes their lists in OpenCL C and converts what the host passes.
 
-In OpenCL C a kernel is written as `__kernel void render_paths(RENDER_PATHS_PARAMETERS)`; the macro comes from here
+In OpenCL C a kernel is written as `__kernel void render_paths(RENDERPATHS_PARAMETERS)`; the macro comes from here
 (`macros`). On the host a `Kernel` takes plain Python numbers, buffers and arrays, in their order or by name.
 """
 
 from __future__ import annotations
 
 import operator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -22,7 +23,7 @@ MEDIUM = (
     "const __global float *profiles",  # of the air and the phase table, see make_medium
 )
 # Paths from cameras: `sample_in_launch * pixel_count + pixel` is the number of one in its launch.
-_PATHS = (
+PATHS = (
     *MEDIUM,
     "const __global View *views",
     "const __global float *rays",  # of the views that are lists of rays
@@ -34,7 +35,7 @@ _PATHS = (
     "const uint stream",
 )
 _REPLAY = (
-    *_PATHS,
+    *PATHS,
     "const __global float *path_radiance",  # from render_paths, sr^-1
     "volatile __global uint *astray",  # number of paths that contribute something else now
 )
@@ -55,7 +56,7 @@ _STEP = (
 )
 KERNELS: dict[str, tuple[str, ...]] = {
     "render_paths": (
-        *_PATHS,
+        *PATHS,
         "__global float *path_radiance",  # sr^-1
         "volatile __global Accumulator *budget",  # [copy][Termination]
     ),
@@ -206,13 +207,14 @@ class Parameter:
         return value.data
 
 
-PARAMETERS = {kernel: tuple(map(Parameter, declarations)) for kernel, declarations in KERNELS.items()}
+def macro(name: str, declarations: Sequence[str]) -> str:
+    """A parameter list in OpenCL C."""
+    return f"#define {name.upper()}_PARAMETERS {', '.join(declarations)}"
 
 
 def macros() -> str:
     """The parameter lists in OpenCL C, KERNEL_PARAMETERS for each; MEDIUM_PARAMETERS, and MEDIUM_ARGUMENTS by name."""
-    lists = {"MEDIUM": MEDIUM} | {kernel.upper(): declarations for kernel, declarations in KERNELS.items()}
-    lines = [f"#define {name}_PARAMETERS {', '.join(declarations)}" for name, declarations in lists.items()]
+    lines = [macro(name, declarations) for name, declarations in (KERNELS | {"medium": MEDIUM}).items()]
     lines.append(f"#define MEDIUM_ARGUMENTS {', '.join(Parameter(declaration).name for declaration in MEDIUM)}")
     return "\n".join(lines)
 
@@ -223,12 +225,13 @@ class Kernel:
     Parameters
     ----------
     opencl : pyopencl's kernel
-    name : one of KERNELS
+    name : of it, for messages
+    declarations : of its parameters, one of KERNELS
     """
 
-    def __init__(self, opencl: Any, name: str) -> None:
+    def __init__(self, opencl: Any, name: str, declarations: Sequence[str]) -> None:
         self._opencl = opencl
-        self._parameters = PARAMETERS[name]
+        self._parameters = tuple(map(Parameter, declarations))
         self._places = {parameter.name: place for place, parameter in enumerate(self._parameters)}
         self.function_name = name
 

@@ -35,23 +35,23 @@ typedef struct {
     bool is_first;     /* from the camera */
 } Payload;
 
-inline void deposit_crossing(int index, float length, const Payload *payload, Tally *tally)
+inline void deposit_crossing(int index, float length, Payload payload, Tally *tally)
 {
     const RadianceTable *table = &tally->table;
     const int column = table->column[index];
     if (column < 0)
         return;
-    const int place = column * DIRECTION_BINS + payload->bin;
-    const float source = table->scattered[place] + payload->sun_density * table->sunlight[column];
-    tally_derivative(index, column, length * (payload->throughput * source), payload->is_first, tally);
-    if (payload->weight > 0.0f) {
-        accumulate(table->sums + 2 * place, TABLE_UNIT * length * payload->weight);
-        accumulate(table->sums + 2 * place + 1, TABLE_UNIT * length * payload->incident);
+    const int place = column * DIRECTION_BINS + payload.bin;
+    const float source = table->scattered[place] + payload.sun_density * table->sunlight[column];
+    tally_derivative(index, column, length * (payload.throughput * source), payload.is_first, tally);
+    if (payload.weight > 0.0f) {
+        accumulate(table->sums + 2 * place, TABLE_UNIT * length * payload.weight);
+        accumulate(table->sums + 2 * place + 1, TABLE_UNIT * length * payload.incident);
     }
 }
 
 #define TRAVERSAL fly_and_deposit
-#define TRAVERSAL_CONTEXT , const Payload *payload, Tally *tally
+#define TRAVERSAL_CONTEXT , Payload payload, Tally *tally
 #define CROSSES(index, length) deposit_crossing(index, length, payload, tally)
 #define SKIPS()
 #include "walk/traversal.h"
@@ -87,7 +87,7 @@ inline void deposit_segment(const Medium *medium, const Segment *segment, float 
     payload.incident = incident;
     payload.is_first = segment->event == 1u;
     Ray ray = segment->start;
-    fly_and_deposit(medium, &ray, segment->optical_depth, &payload, tally);
+    fly_and_deposit(medium, &ray, segment->optical_depth, payload, tally);
 }
 
 inline void tally_segment(const Medium *medium, const Segment *segment, const Flight *flight, Particle end, float share,

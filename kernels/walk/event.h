@@ -18,7 +18,7 @@ typedef struct {
     Ray ray; /* its direction is that in which the path arrives */
     Particle particle;
     float albedo;
-    float throughput;     /* of the path, after it */
+    float throughput;     /* of the path, after it: product of single-scattering albedos, over survival */
     uint event;           /* number of the segment that ends here */
     float u_estimate;     /* uniform numbers: for the roulette on the local estimate */
     float u_side_flights; /* for the number of side flights */

@@ -55,51 +55,48 @@ inline Termination termination_of(const __constant Scene *scene, const Ray *ray,
 }
 
 /* Walks a whole path from its first ray. */
-inline void walk_path(const Medium *medium, Ray ray, const SampleKey *key, Tally *tally)
+inline void walk_path(const Medium *medium, Ray first_ray, const SampleKey *key, Tally *tally)
 {
     const __constant Scene *scene = medium->scene;
-    float throughput = 1.0f; /* product of single-scattering albedos, over survival */
-    for (uint event = 1u;; ++event) {
-        const float4 u = uniforms(key, event * BLOCKS_PER_EVENT + BLOCK_EVENT);
-        const float4 v = uniforms(key, event * BLOCKS_PER_EVENT + BLOCK_ROULETTE);
-        const Segment segment = {ray, -logarithm(u.x), throughput, event};
-        const Flight flight = on_flight(medium, &ray, &segment, tally);
-        Interaction at;
+    Interaction at; /* the last; its ray is where the path is */
+    at.ray = first_ray;
+    at.throughput = 1.0f;
+    for (at.event = 1u;; ++at.event) {
+        const float4 u = uniforms(key, at.event * BLOCKS_PER_EVENT + BLOCK_EVENT);
+        const float4 v = uniforms(key, at.event * BLOCKS_PER_EVENT + BLOCK_ROULETTE);
+        const Segment segment = {at.ray, -logarithm(u.x), at.throughput, at.event};
+        const Flight flight = on_flight(medium, &at.ray, &segment, tally);
         if (flight.collided) {
             at.particle = choose_particle(medium, flight.droplets, flight.air, flight.index, u.y, v.w, &at.albedo);
         } else {
-            const Termination termination = termination_of(scene, &ray, &flight);
-            const bool ends = termination == TERMINATION_LOST || !meets_surface(scene, &ray);
-            on_leaving(medium, &segment, &flight, &ray, termination, ends, tally);
+            const Termination termination = termination_of(scene, &at.ray, &flight);
+            const bool ends = termination == TERMINATION_LOST || !meets_surface(scene, &at.ray);
+            on_leaving(medium, &segment, &flight, &at.ray, termination, ends, tally);
             if (ends) {
-                on_termination(termination, throughput, tally);
+                on_termination(termination, at.throughput, tally);
                 return;
             }
-            move_to_surface(scene, &ray);
+            move_to_surface(scene, &at.ray);
             at.particle = PARTICLE_SURFACE;
             at.albedo = scene->surface_albedo;
         }
-        at.ray = ray;
-        at.event = event;
         at.u_estimate = v.x;
         at.u_side_flights = v.z;
-        on_absorption(medium, &at, throughput * (1.0f - at.albedo), tally);
-        throughput *= at.albedo;
-        at.throughput = throughput;
+        on_absorption(medium, &at, at.throughput * (1.0f - at.albedo), tally);
+        at.throughput *= at.albedo;
         on_interaction(medium, &segment, &flight, &at, tally);
-        if (throughput < PATH_ROULETTE_THROUGHPUT) {
-            const bool survives = v.y * PATH_ROULETTE_THROUGHPUT < throughput;
-            on_roulette(throughput, PATH_ROULETTE_THROUGHPUT, survives, tally);
+        if (at.throughput < PATH_ROULETTE_THROUGHPUT) {
+            const bool survives = v.y * PATH_ROULETTE_THROUGHPUT < at.throughput;
+            on_roulette(at.throughput, PATH_ROULETTE_THROUGHPUT, survives, tally);
             if (!survives) {
-                on_termination(TERMINATION_KILLED, throughput, tally);
+                on_termination(TERMINATION_KILLED, at.throughput, tally);
                 return;
             }
-            throughput = PATH_ROULETTE_THROUGHPUT;
-            at.throughput = throughput;
+            at.throughput = PATH_ROULETTE_THROUGHPUT;
         }
-        const float3 new_direction = sample_scatter(medium, at.particle, ray.direction, u.zw);
+        const float3 new_direction = sample_scatter(medium, at.particle, at.ray.direction, u.zw);
         on_scattering(medium, &at, new_direction, key, tally);
-        ray.direction = new_direction;
+        at.ray.direction = new_direction;
     }
 }
 
