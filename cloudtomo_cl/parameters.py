@@ -137,7 +137,9 @@ KERNELS: dict[str, tuple[str, ...]] = {
         "const float second_correction",
     ),
 }
-_NUMBERS = {"uint": np.uint32, "int": np.int32, "float": np.float32, "uchar": np.uint8, "Accumulator": np.int64}
+_NUMBERS: dict[str, Any] = {
+    "uint": np.uint32, "int": np.int32, "float": np.float32, "uchar": np.uint8, "Accumulator": np.int64
+}  # fmt: skip
 # Types of buffers whose arrays have their components as another axis, or are made of structs: host and kernels agree
 # on those by layout.STRUCTS.
 _ELEMENTS = _NUMBERS | {"uint2": np.uint32, "float2": np.float32}

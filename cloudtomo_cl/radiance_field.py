@@ -216,8 +216,9 @@ class RadianceField:
         for launch in operator.kept_launches(rendering):
             paths = self._array.empty(operator.device.queue, launch.paths, np.float32)
             launch.run(
-                self._gradient_paths, **self._buffers, adjoint=factors, change=change, gradient=total, path_tangent=paths
-            )
+                self._gradient_paths, **self._buffers, adjoint=factors, change=change, gradient=total,
+                path_tangent=paths,
+            )  # fmt: skip
             tangent += paths.get().reshape(-1, len(operator.pixels)).sum(axis=0, dtype=float)
         require_sums(total.get(), "the gradient", "voxel")
         irradiance = operator.scene.sun.irradiance

@@ -10,11 +10,12 @@
 /* WEIGHT_UNIT: fixed-point units of a weight of 1. Work groups add into one of BUDGET_COPIES copies of
  * the sums, lest all wait for one address. Both from cloudtomo_cl/layout.py. */
 typedef struct {
-    float absorbed;        /* weight, by droplets and molecules */
-    float surface;         /* weight, by the surface */
-    float killed;          /* less the weight that survived roulettes have given */
-    float killed_variance;
-    float truncated;       /* radiance, sr^-1 */
+    /* Volatile, so that they stay in memory: an event adds to one or two, and GPUs lack registers. */
+    volatile float absorbed;        /* weight, by droplets and molecules */
+    volatile float surface;         /* weight, by the surface */
+    volatile float killed;          /* less the weight that survived roulettes have given */
+    volatile float killed_variance;
+    volatile float truncated;       /* radiance, sr^-1 */
     volatile __global Accumulator *sums; /* [copy][Termination] */
 } Budget;
 
