@@ -94,15 +94,17 @@ inline void tally_segment(const Medium *medium, const Segment *segment, const Fl
                           float local_radiance, Tally *tally)
 {
     float incident = 0.0f;
-    if (end != PARTICLE_NONE)
+    if (end != PARTICLE_NONE) {
         /* Side flights have no part in what the surface reflects. */
-        incident = local_radiance / (end == PARTICLE_SURFACE ? 1.0f : share) + remaining_radiance(tally->total, tally->radiance);
+        const float part = end == PARTICLE_SURFACE ? 1.0f : share;
+        incident = local_radiance / part + remaining_radiance(tally->total, tally->radiance);
+    }
     deposit_segment(medium, segment, share, segment->throughput, incident, tally);
 }
 
 /* Side flights do not go into the table: what they would bring is known for one more scattering only. */
-inline void tally_side_flight(const Medium *medium, const Segment *segment, const Flight *flight, Particle end, float share,
-                              float local_radiance, Tally *tally)
+inline void tally_side_flight(const Medium *medium, const Segment *segment, const Flight *flight, Particle end,
+                              float share, float local_radiance, Tally *tally)
 {
     deposit_segment(medium, segment, share, 0.0f, 0.0f, tally);
 }

@@ -69,7 +69,8 @@ __kernel void trace_photons(TRACE_PHOTONS_PARAMETERS)
     const size_t photon = get_global_id(0);
     if (photon >= photon_count)
         return;
-    const SampleKey key = {seed, 0u, (uint)(photon % pixel_count), SUN_VIEW, first_sample + (uint)(photon / pixel_count)};
+    const uint sample = first_sample + (uint)(photon / pixel_count);
+    const SampleKey key = {seed, 0u, (uint)(photon % pixel_count), SUN_VIEW, sample};
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
     Tally tally = {empty_budget(budget), columns};
     walk_path(&medium, camera_ray(scene, sun_view, 0, &key), &key, &tally);

@@ -19,8 +19,8 @@ inline void tally_segment(const Medium *medium, const Segment *segment, const Fl
 {
 }
 
-inline void tally_side_flight(const Medium *medium, const Segment *segment, const Flight *flight, Particle end, float share,
-                              float local_radiance, Tally *tally)
+inline void tally_side_flight(const Medium *medium, const Segment *segment, const Flight *flight, Particle end,
+                              float share, float local_radiance, Tally *tally)
 {
 }
 

@@ -46,8 +46,8 @@ inline void tally_segment(const Medium *medium, const Segment *segment, const Fl
     deposit_collision(tally, flight, end, tally->remaining);
 }
 
-inline void tally_side_flight(const Medium *medium, const Segment *segment, const Flight *flight, Particle end, float share,
-                              float local_radiance, Tally *tally)
+inline void tally_side_flight(const Medium *medium, const Segment *segment, const Flight *flight, Particle end,
+                              float share, float local_radiance, Tally *tally)
 {
     if (!(local_radiance > 0.0f))
         return;

@@ -10,13 +10,13 @@
  *
  *   Flight tally_fly(medium, Ray *ray, const Segment *segment, tally)
  *       as on_flight of path.h; tally->radiance is what the path has gathered before
- *   void tally_segment(medium, const Segment *segment, const Flight *flight, Particle end, float share, float local_radiance,
- *                      tally)
- *       the end of one of the path's own flights, in `end` (PARTICLE_NONE: it left). `local_radiance` is the local estimate
- *       there (sr^-1), which is in tally->radiance by now; of a collision's estimate the segment has the part
- *       `share`, the rest is the side flights'. Called after tally_shadow_ray
- *   void tally_side_flight(medium, const Segment *segment, const Flight *flight, Particle end, float share, float local_radiance,
- *                          tally)
+ *   void tally_segment(medium, const Segment *segment, const Flight *flight, Particle end, float share,
+ *                      float local_radiance, tally)
+ *       the end of one of the path's own flights, in `end` (PARTICLE_NONE: it left). `local_radiance` is the
+ *       local estimate there (sr^-1), which is in tally->radiance by now; of a collision's estimate the segment
+ *       has the part `share`, the rest is the side flights'. Called after tally_shadow_ray
+ *   void tally_side_flight(medium, const Segment *segment, const Flight *flight, Particle end, float share,
+ *                          float local_radiance, tally)
  *       the same of a side flight; its local estimate is not yet in tally->radiance. Called before tally_shadow_ray
  *   void tally_shadow_ray(medium, const Ray *from, const LocalEstimate *estimate, tally)
  *       a local estimate has been made

@@ -2,7 +2,8 @@
  * a function of (so there is no include guard). It takes, and undefines:
  *
  *   TRAVERSAL            the function's name
- *   TRAVERSAL_CONTEXT    its last parameters, each after a comma; may be empty
+ *   TRAVERSAL_CONTEXT    its last parameters, each after a comma; may be empty. What is done sees them, and the
+ *                        function's own variables: their names must differ
  *   CROSSES(index, length)   done when it crosses `length` km of the voxel `index`, up to a collision
  *   SKIPS()              done when it skips a row of empty blocks
  *
