@@ -176,7 +176,6 @@ class PriorOperator:
     @device_errors("the prior")
     def __init__(self, prior: Prior, shape: tuple[int, int, int], device: Device) -> None:
         import pyopencl.array as cl_array
-        from pyopencl import cltypes
 
         self.prior = prior
         self.device = device
@@ -189,10 +188,9 @@ class PriorOperator:
         self._smooth, self._work, self._value, self._outer, self._inner = (
             cl_array.zeros(device.queue, shape, np.float32) for _ in range(5)
         )
-        self._shape = cltypes.make_int3(*shape)  # type: ignore[attr-defined]  # made when pyopencl is imported
 
-    def _launch(self, name: str, *arguments: Any) -> None:
-        self.device.launch(self._kernels[name], int(np.prod(self.shape)), *arguments)
+    def _launch(self, name: str, *arguments: Any, **named: Any) -> None:
+        self.device.launch(self._kernels[name], int(np.prod(self.shape)), *arguments, **named)
 
     @device_errors("the prior")
     def value_and_gradient(self, extinction: Any, weight: float = 1.0, noise: float = 0.0) -> tuple[float, Any]:
@@ -201,27 +199,26 @@ class PriorOperator:
         weight : N, factor of smoothness and monotonicity
         noise : n, factor of the sparsity
         """
-        prior, shape = self.prior, self._shape
-        self._launch("laplacian", extinction.data, shape, self._work.data)
-        self._launch("laplacian", self._work.data, shape, self._smooth.data)
+        prior, shape = self.prior, self.shape
+        self._launch("laplacian", extinction, shape, self._work)
+        self._launch("laplacian", self._work, shape, self._smooth)
         self._launch(
             "monotonicity_terms",
-            extinction.data,
-            shape,
-            *(np.float32(c) for c in (prior.c1, prior.c2, prior.threshold)),
-            *(a.data for a in (self._value, self._outer, self._inner)),
-        )
+            extinction, shape, prior.c1, prior.c2, prior.threshold, self._value, self._outer, self._inner,
+        )  # fmt: skip
         gradient = self._cl_array.empty_like(extinction)
         self._launch(
             "prior_gradient",
-            *(a.data for a in (self._smooth, self._outer, self._inner)),
-            shape,
-            np.float32(weight * prior.smoothness),
-            np.float32(weight * prior.monotonicity),
-            extinction.data,
-            np.float32(noise * prior.sparsity),
-            np.float32(prior.clear),
-            gradient.data,
+            smooth=self._smooth,
+            outer=self._outer,
+            inner=self._inner,
+            shape=shape,
+            smoothness=weight * prior.smoothness,
+            monotonicity=weight * prior.monotonicity,
+            extinction=extinction,
+            sparsity=noise * prior.sparsity,
+            sparsity_scale=prior.clear,
+            gradient=gradient,
         )
         smooth = np.square(self._work.get(), dtype=np.float64).sum()
         monotone = self._value.get().sum(dtype=np.float64)

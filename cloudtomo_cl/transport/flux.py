@@ -159,15 +159,14 @@ class FluxOperator:
                 self._pace.launch(
                     self._trace_photons,
                     number * self._pixels,
-                    field.struct,
-                    self._sun_view,
-                    *field.arguments,
-                    np.uint32(self._pixels),
-                    np.uint32(batch * samples + done),
-                    np.uint32(number * self._pixels),
-                    np.uint32(seed),
-                    columns.data,
-                    account.data,
+                    **field.arguments,
+                    sun_view=self._sun_view,
+                    pixel_count=self._pixels,
+                    first_sample=batch * samples + done,
+                    photon_count=number * self._pixels,
+                    seed=seed,
+                    columns=columns,
+                    budget=account.data,
                 )
                 done += number
                 if progress:

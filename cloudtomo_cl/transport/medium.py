@@ -38,12 +38,12 @@ class Field:
     extinction: Any
     skips_zeros: bool
     _medium: Medium
-    _buffers: tuple[Any, ...]
+    _buffers: dict[str, Any]
 
     @property
-    def arguments(self) -> tuple[Any, ...]:
-        """What every kernel that walks paths takes of the medium, beside the Scene."""
-        return self.extinction.data, *self._buffers
+    def arguments(self) -> dict[str, Any]:
+        """What every kernel that walks paths takes of the medium, by name (parameters.MEDIUM)."""
+        return {"scene": self.struct, "extinction": self.extinction, **self._buffers}
 
 
 class Medium:
@@ -145,7 +145,11 @@ class Medium:
             beta,
             skips_zeros,
             self,
-            (self._table_row, self._nothing_clear if clear is None else clear, self._profiles),
+            {
+                "table_row": self._table_row,
+                "empty": self._nothing_clear if clear is None else clear,
+                "profiles": self._profiles,
+            },
         )
 
 
@@ -222,7 +226,7 @@ def check_depth(values: np.ndarray, edge: float) -> None:
 
 
 def profiles(scene: Scene) -> np.ndarray:
-    """The 1-D tables of a scene one after the other, float32 (see kernels/medium.h)."""
+    """The 1-D tables of a scene one after the other, float32 (see kernels/walk/medium.h)."""
     levels, molecules = scene.air_layers()
     parts = [levels - scene.grid.origin[2], molecules]
     phase = scene.cloud.phase_function

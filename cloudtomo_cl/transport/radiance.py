@@ -73,16 +73,16 @@ class KeptLaunch:
     paths: int
     _samples: int
     _pace: Pace
-    _arguments: tuple[Any, ...]
+    _arguments: dict[str, Any]
 
-    def run(self, kernel: Any, *arguments: Any) -> None:
-        """Runs a kernel on them; its own arguments come after those of all walks."""
-        self._pace.launch(kernel, self.paths, *self._arguments, *arguments)
+    def run(self, kernel: Any, **arguments: Any) -> None:
+        """Runs a kernel on them; given are its own arguments, beside those of all replays."""
+        self._pace.launch(kernel, self.paths, **self._arguments, **arguments)
 
-    def run_pixels(self, kernel: Any, pixels: int, *arguments: Any) -> None:
-        """Runs a kernel of one work item a pixel, which walks paths of its pixel (after `begin`, `end`)."""
-        for part in parts(self._samples, _PATHS_OF_ITEM):
-            self._pace.device.launch(kernel, pixels, *self._arguments, *part, *arguments)
+    def run_pixels(self, kernel: Any, pixels: int, **arguments: Any) -> None:
+        """Runs a kernel of one work item a pixel, which walks the paths `begin` to `end` of its pixel."""
+        for begin, end in parts(self._samples, _PATHS_OF_ITEM):
+            self._pace.device.launch(kernel, pixels, **self._arguments, begin=begin, end=end, **arguments)
             self._pace.device.queue.finish()
 
 
@@ -159,9 +159,9 @@ class RadianceOperator:
         self._views = self.device.constant(view_structs(self.views, scene.grid, scene.top))
         self._rays = self.device.constant(ray_array(self.views, scene))
         self._pixels = self.device.constant(self.pixels)
-        self._render_paths = self.device.kernel("render", "render_paths", self._medium.features)
-        self._sum_paths = self.device.kernel("render", "sum_paths", self._medium.features)
-        self._replay_paths = self.device.kernel("gradient", "replay_paths", self._medium.features)
+        self._render_paths = self.device.kernel("image", "render_paths", self._medium.features)
+        self._sum_paths = self.device.kernel("image", "sum_paths", self._medium.features)
+        self._replay_paths = self.device.kernel("replay", "replay_paths", self._medium.features)
         self._pace = Pace(self.device)
 
     @device_errors("rendering")
@@ -212,12 +212,12 @@ class RadianceOperator:
             self._pace.launch(
                 self._render_paths,
                 number * count,
-                *self._arguments(medium, first, number * count, seed, iteration),
-                paths.data,
-                account.data,
+                **self._arguments(medium, first, number * count, seed, iteration),
+                path_radiance=paths,
+                budget=account.data,
             )
             for part in parts(number, _LONGEST_SUM):
-                self.device.launch(self._sum_paths, count, paths.data, np.uint32(count), np.uint32(first), *part, sums)
+                self.device.launch(self._sum_paths, count, paths, count, first, *part, sums)
             if keep_paths:
                 launches.append((first, paths))
             done += number
@@ -240,19 +240,18 @@ class RadianceOperator:
         other._pixels = self.device.constant(other.pixels)
         return other
 
-    def _arguments(self, medium: Field, first: int, paths: int, seed: int, iteration: int) -> tuple[Any, ...]:
-        return (
-            medium.struct,
-            self._views,
-            self._rays,
-            self._pixels,
-            *medium.arguments,
-            np.uint32(len(self.pixels)),
-            np.uint32(first),
-            np.uint32(paths),
-            np.uint32(seed),
-            np.uint32(iteration),
-        )
+    def _arguments(self, medium: Field, first: int, paths: int, seed: int, iteration: int) -> dict[str, Any]:
+        """What every kernel that walks the pixels' paths takes, by name."""
+        return medium.arguments | {
+            "views": self._views,
+            "rays": self._rays,
+            "pixels": self._pixels,
+            "pixel_count": len(self.pixels),
+            "first_sample": first,
+            "path_count": paths,
+            "seed": seed,
+            "stream": iteration,
+        }
 
     def _rendering(
         self,
@@ -314,7 +313,7 @@ class RadianceOperator:
         if largest > 0:
             factors = self.device.constant((adjoint * (FIXED_POINT_SCALE / largest)).astype(np.float32))
             for launch in self.kept_launches(rendering):
-                launch.run(self._replay_paths, factors, total.data)
+                launch.run(self._replay_paths, adjoint=factors, gradient=total)
             require_sums(total.get(), "the gradient", "voxel")
         scale = largest / FIXED_POINT_SCALE * self.scene.sun.irradiance / (rendering.samples // 2)
         return total.astype(np.float32) * np.float32(scale)
@@ -332,7 +331,8 @@ class RadianceOperator:
         astray = self._array.zeros(self.device.queue, 1, np.uint32)
         for first, paths in rendering._launches:
             given = self._arguments(rendering._medium, first, paths.size, rendering.seed, rendering.iteration)
-            yield KeptLaunch(paths.size, paths.size // len(self.pixels), self._pace, (*given, paths.data, astray.data))
+            given |= {"path_radiance": paths, "astray": astray}
+            yield KeptLaunch(paths.size, paths.size // len(self.pixels), self._pace, given)
         check_replays(int(astray.get()[0]), rendering.samples * len(self.pixels))
 
     def images(self, values: np.ndarray) -> list[np.ndarray]:
@@ -370,6 +370,6 @@ def pooled(first: Rendering, second: Rendering) -> Rendering:
     )
 
 
-def parts(count: int, most: int) -> list[tuple[np.uint32, np.uint32]]:
+def parts(count: int, most: int) -> list[tuple[int, int]]:
     """The numbers from 0 to below `count` in parts (begin, end) of at most `most`."""
-    return [(np.uint32(begin), np.uint32(min(begin + most, count))) for begin in range(0, count, most)]
+    return [(begin, min(begin + most, count)) for begin in range(0, count, most)]

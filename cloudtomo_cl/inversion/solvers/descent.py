@@ -156,13 +156,13 @@ class _Descent:
         device.launch(
             device.kernel("optimizer", self._kernel),
             gradient.size,
-            np.uint32(gradient.size),
-            extinction.data,
-            everywhere.data,
-            slope.data,
-            np.float32(length),
-            np.int32(self.parametrisation == "square-root"),
-            np.float32(self.floor),
+            gradient.size,
+            extinction,
+            everywhere,
+            slope,
+            length,
+            self.parametrisation == "square-root",
+            self.floor,
             *self._of_moments(moments, steps),
         )
         moved = extinction.get()
@@ -209,7 +209,7 @@ class Adam(_Descent):
     def _of_moments(self, moments: list[Any], steps: int) -> tuple[Any, ...]:
         betas = (self.beta1, self.beta2)
         corrections = (1 / (1 - beta**steps) for beta in betas)
-        return (*(moment.data for moment in moments), *map(np.float32, betas), *map(np.float32, corrections))
+        return (*moments, *betas, *corrections)
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))

@@ -7,7 +7,7 @@
 #ifndef CLOUDTOMO_GRID_H
 #define CLOUDTOMO_GRID_H
 
-#include "arithmetic.h"
+#include "walk/arithmetic.h"
 
 typedef struct {
     float3 position;  /* voxel units */
@@ -196,10 +196,10 @@ inline void skip_axis(float exit, float per_voxel, int stride, int most, float *
     *index += crossed * stride;
 }
 
-/* Which block of 2^clear_shift voxels along each axis the walk is in, as an index. */
-inline int clear_block(const __constant Scene *scene, const VoxelWalk *walk)
+/* Which block of 2^empty_shift voxels along each axis the walk is in, as an index. */
+inline int empty_block(const __constant Scene *scene, const VoxelWalk *walk)
 {
-    const int shift = scene->clear_shift;
+    const int shift = scene->empty_shift;
     if (shift == 0)
         return walk->index;
     const int x = voxel_of(walk->ahead_x, walk->stride_x, scene->shape[0]) >> shift;
@@ -209,20 +209,20 @@ inline int clear_block(const __constant Scene *scene, const VoxelWalk *walk)
 }
 
 /* Voxels along an axis from the walk's to the last of so many blocks, its own the first of them. */
-inline int clear_side(const __constant Scene *scene, int ahead, int stride, int count, int blocks)
+inline int empty_side(const __constant Scene *scene, int ahead, int stride, int count, int blocks)
 {
-    const int last = (1 << scene->clear_shift) - 1;
-    return ((blocks - 1) << scene->clear_shift) + ((voxel_of(ahead, stride, count) & last) ^ (stride > 0 ? last : 0));
+    const int last = (1 << scene->empty_shift) - 1;
+    return ((blocks - 1) << scene->empty_shift) + ((voxel_of(ahead, stride, count) & last) ^ (stride > 0 ? last : 0));
 }
 
-/* From a block with nothing within `clear` blocks of it (itself included, along every axis) to where
+/* From a block with nothing within `empty` blocks of it (itself included, along every axis) to where
  * the ray leaves that cube, or the domain: false then. */
-inline bool walk_skip(const __constant Scene *scene, VoxelWalk *walk, int clear)
+inline bool walk_skip(const __constant Scene *scene, VoxelWalk *walk, int empty)
 {
     const bool periodic = scene->periodic;
-    const int side_x = clear_side(scene, walk->ahead_x, walk->stride_x, scene->shape[0], clear);
-    const int side_y = clear_side(scene, walk->ahead_y, walk->stride_y, scene->shape[1], clear);
-    const int side_z = clear_side(scene, walk->ahead_z, walk->stride_z, scene->shape[2], clear);
+    const int side_x = empty_side(scene, walk->ahead_x, walk->stride_x, scene->shape[0], empty);
+    const int side_y = empty_side(scene, walk->ahead_y, walk->stride_y, scene->shape[1], empty);
+    const int side_z = empty_side(scene, walk->ahead_z, walk->stride_z, scene->shape[2], empty);
     /* A ray along an axis never meets the others' faces: no 0 * infinity. */
     const bool meets_x = walk->next_x != INFINITY, meets_y = walk->next_y != INFINITY, meets_z = walk->next_z != INFINITY;
     const float beyond = lesser(meets_z ? walk->next_z + (float)side_z * walk->per_voxel_z : INFINITY,
@@ -240,7 +240,7 @@ inline bool walk_skip(const __constant Scene *scene, VoxelWalk *walk, int clear)
         return false;
     }
     /* Rounding must not carry it out; across a periodic side it may go, and the host has seen to it that
-     * `clear` is no more than the domain. */
+     * `empty` is no more than the domain. */
     const int most_x = periodic ? side_x + 1 : walk->ahead_x, most_y = periodic ? side_y + 1 : walk->ahead_y;
     skip_axis(exit, walk->per_voxel_x, walk->stride_x, most_x, &walk->next_x, &walk->ahead_x, &walk->index);
     skip_axis(exit, walk->per_voxel_y, walk->stride_y, most_y, &walk->next_y, &walk->ahead_y, &walk->index);

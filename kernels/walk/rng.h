@@ -1,7 +1,7 @@
 /* Uniform numbers as a function of what a sample is, never of where it runs.
  *
  * Philox4x32-10 (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3"),
- * key = (seed, iteration), counter = (pixel, view, sample, block): every block of four
+ * key = (seed, stream), counter = (pixel, view, sample, block): every block of four
  * numbers has its own counter, so any range of samples can be computed anywhere, in any
  * order, with the same paths.
  */
@@ -12,7 +12,7 @@
 
 typedef struct {
     uint seed;
-    uint iteration;
+    uint stream;
     uint pixel;   /* row * width + column, within its view */
     uint view;
     uint sample;
@@ -38,7 +38,7 @@ inline float open_uniform(uint bits)
 
 inline float4 uniforms(const SampleKey *key, uint block)
 {
-    philox4x32_key_t k = {{key->seed, key->iteration}};
+    philox4x32_key_t k = {{key->seed, key->stream}};
     philox4x32_ctr_t c = {{key->pixel, key->view, key->sample, block}};
     philox4x32_ctr_t r = philox4x32(c, k);
     return (float4)(open_uniform(r.v[0]), open_uniform(r.v[1]),

@@ -13,7 +13,7 @@
 #ifndef CLOUDTOMO_ACCUMULATE_H
 #define CLOUDTOMO_ACCUMULATE_H
 
-#include "arithmetic.h"
+#include "walk/arithmetic.h"
 
 typedef long Accumulator;
 

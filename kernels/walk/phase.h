@@ -4,7 +4,7 @@
 #ifndef CLOUDTOMO_PHASE_H
 #define CLOUDTOMO_PHASE_H
 
-#include "arithmetic.h"
+#include "walk/arithmetic.h"
 
 #define ONE_OVER_PI 0.318309886183790672f /* 1 / pi, sr^-1 of a Lambertian surface */
 

@@ -8,8 +8,8 @@
 #ifndef CLOUDTOMO_CAMERA_H
 #define CLOUDTOMO_CAMERA_H
 
-#include "rng.h"
-#include "grid.h"
+#include "walk/rng.h"
+#include "walk/grid.h"
 
 inline float3 affine(const __global float *coefficients, float u, float v)
 {
@@ -39,6 +39,14 @@ inline Ray camera_ray(const __constant Scene *scene, const __global View *view, 
     ray.position = affine(view->origin, u, v) / grid_spacing(scene);
     ray.direction = unit_vector(affine(view->direction, u, v));
     return ray;
+}
+
+/* The path that a work item walks: neighbours in a work group walk paths of the same pixel, which go through
+ * the same voxels, and end early all together where there is no cloud. */
+inline uint path_of_item(uint item, uint pixel_count, uint path_count)
+{
+    const uint samples = path_count / pixel_count;
+    return item % samples * pixel_count + item / samples;
 }
 
 #endif
