@@ -233,8 +233,10 @@ def _selected(
             used.add(dimension)
             index, option = asked, f"--select {dimension}={asked}"
         elif kind == "t" and options.time is not None:
+            # A profile that is the same at all times has one.
+            alone = count == 1 and "time" in used
             used.add("time")
-            index, option = (0, "") if count == 1 else (options.time, f"--time {options.time}")
+            index, option = (0, "") if alone else (options.time, f"--time {options.time}")
         elif count > 1:
             what = "--time INDEX" if kind == "t" else f"--select {dimension}=INDEX"
             steps = "steps of" if kind == "t" else "entries along"

@@ -15,6 +15,7 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.extinction import PLAUSIBLE_EXTINCTION, check_extinction, check_radius, require_plausible
 from cloudtomo_cl.files.missing import require_present
 from cloudtomo_cl.files.units import parse_unit
+from cloudtomo_cl.memory import require
 from cloudtomo_cl.scene.droplets import DropletTable, extinction_from_water
 from cloudtomo_cl.scene.grid import Grid
 
@@ -26,6 +27,8 @@ RADII_OF_CLOUDS = (0.1, 1000.0)
 # Below zero by no more than this share of the largest value is rounding.
 _ROUNDING = 1e-6
 
+# Uniform layers that stretched ones become: a cloud of 10 km in layers of a metre.
+_MOST_LAYERS, _BYTES_PER_VOXEL = 10_000, 48
 # Spacings may differ by this share and count as uniform.
 UNIFORM = 1e-3
 # Martin, Johnson and Spice 1994: (r_v / r_e)^3, the cube of volume mean over effective radius, in maritime clouds.
@@ -185,6 +188,7 @@ def _on_uniform_voxels(
     fields = [extinction] if radius is None else [extinction, extinction * np.nan_to_num(radius[..., layers])]
     steps = np.diff(heights)
     if np.ptp(steps) > UNIFORM * steps.mean() or options.layer is not None:
+        _require_layers(path, extinction.shape, heights, options.layer)
         heights, fields = uniform_layers(heights, fields, options.layer)
     spacing, origin = zip(*(_edges_to_axis(values) for values in (edges[0], edges[1], heights)))
     extinction = fields[0]
@@ -194,6 +198,18 @@ def _on_uniform_voxels(
         raise DataError(f"{path}: impossible grid: {error.errors()[0]['msg']}") from None
     sizes = None if radius is None else weighted_mean(fields[1], extinction).astype(np.float32)
     return grid, extinction.astype(np.float32), sizes
+
+
+def _require_layers(path: Any, shape: tuple[int, ...], heights: np.ndarray, layer: float | None) -> None:
+    """Checks that uniform layers, as thin as the thinnest or as asked for, can be made."""
+    count = (heights[-1] - heights[0]) / (np.diff(heights).min() if layer is None else layer)
+    if not count < _MOST_LAYERS:
+        raise DataError(
+            f"{path}: would have {count:.3g} uniform layers, at most {_MOST_LAYERS} are made: choose thicker ones with "
+            f"--layer DZ (km)"
+        )
+    voxels = shape[0] * shape[1] * round(count)
+    require(_BYTES_PER_VOXEL * voxels, f"{path}: {count:.0f} uniform layers", "choose thicker ones with --layer DZ")
 
 
 def _droplet_table(options: ReadingOptions) -> DropletTable | None:

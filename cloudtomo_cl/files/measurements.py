@@ -186,6 +186,8 @@ def read_measurements(source: Source) -> Measurements:
     dims = ("view", "row", "column")
     radiance, error = (_radiances(path, dataset, name) for name in ("radiance", "radiance_standard_error"))
     if "valid" in dataset.variables:
+        if dataset["valid"].dtype.kind == "b":
+            dataset = dataset.assign(valid=dataset["valid"].astype(np.int8))
         radiance = radiance.where(_valid(path, number_variable(path, dataset, "valid", dims)))
     heights = number_variable(path, dataset, "image_height", ("view",)).values
     widths = number_variable(path, dataset, "image_width", ("view",)).values

@@ -101,7 +101,11 @@ def _require_size(path: Path) -> None:
     import netCDF4
 
     with netCDF4.Dataset(path) as file:
-        claims = {name: 8 * math.prod(map(int, variable.shape)) for name, variable in file.variables.items()}
+        claims = {
+            name: np.dtype(variable.dtype if variable.dtype is not str else object).itemsize
+            * math.prod(map(int, variable.shape))
+            for name, variable in file.variables.items()
+        }
     total = sum(claims.values())
     if total > HARMLESS and total > LARGEST_COMPRESSION * path.stat().st_size:
         name = max(claims, key=lambda key: claims[key])

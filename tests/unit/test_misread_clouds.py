@@ -251,6 +251,29 @@ def test_half_levels_that_cannot_be_interpolated_are_refused(faces, air, message
         read_cloud(data, RADIUS)
 
 
+def test_a_time_that_the_file_does_not_have_is_refused():
+    data = les()
+    data["lwc"] = data.lwc.expand_dims(time=1)
+    assert_is_the_cloud(read_cloud(data, ReadingOptions(effective_radius=10.0, time=-1)))
+    with pytest.raises(DataError, match="--time 5: lwc has 1 entries along time"):
+        read_cloud(data, ReadingOptions(effective_radius=10.0, time=5))
+
+
+def test_a_profile_of_one_time_goes_with_every_time():
+    data = mixed(dims=("time", "z"), values=np.full((1, 4), 0.8))
+    data["ql"] = data.ql.expand_dims({"Time": 3})
+    assert_is_the_cloud(read_cloud(data, ReadingOptions(effective_radius=10.0, time=2)))
+
+
+@pytest.mark.parametrize("options", [{"layer": 1e-9}, {}])
+def test_layers_beyond_memory_are_refused_at_once(options):
+    data = les()
+    if not options:
+        data = data.assign_coords(z=("z", [20.0, 20.0 + 1e-7, 100.0, 140.0], {"units": "m"}))
+    with pytest.raises(DataError, match="layers.*--layer"):
+        read_cloud(data, ReadingOptions(effective_radius=10.0, **options))
+
+
 def test_members_are_chosen_by_name():
     data = les()
     data["lwc"] = data.lwc.expand_dims(member=3) * xr.DataArray([0.5, 1.0, 2.0], dims="member")

@@ -129,6 +129,7 @@ def flags(values, **attributes):
     ("values", "attributes"),
     [
         (np.int8(0), {}),
+        (np.bool_(False), {}),
         (np.int8(0), {"_FillValue": np.int8(0)}),
         (np.int8(-1), {"missing_value": np.int8(-1)}),
         (np.float32(np.nan), {}),
