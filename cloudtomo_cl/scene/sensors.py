@@ -21,7 +21,8 @@ from cloudtomo_cl.scene.grid import Count, Grid, Length, Triple
 from cloudtomo_cl.scene.scene import Angle, Scene, direction
 
 Pixels = tuple[Count, Count]
-# Positions have single precision in the kernels: at this distance, km, that is 8 m.
+# Positions have single precision in the kernels: at this distance, km, that is 8 m. Images of a cloud of 0.8 km in 24
+# pixels have the mean of an orthographic view to 0.1 % up to there, and single pixels to 5 %.
 FARTHEST = 1e5
 
 

@@ -1,6 +1,7 @@
 """Images, rays and stored settings as other programs may write them: read right, or refused."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from cloudtomo_cl.errors import DataError, SettingsError
 from cloudtomo_cl.files.measurements import measurements_dataset, read_measurements, read_rays, read_settings
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, RayView
+from cloudtomo_cl.settings.stored import noise_of_table, scene_of_tables
 
 VIEWS = (
     OrthographicView(width=1.2, zenith=40.0, azimuth=90.0, pixels=(5, 4)),
@@ -226,6 +228,37 @@ def test_stored_settings_are_checked(stored, message):
 def test_stored_settings_that_are_none_are_named(text):
     with pytest.raises(DataError, match="the attribute settings is not a JSON table"):
         read_settings(dataset().assign_attrs(settings=text))
+
+
+SCENE = {
+    "grid": {"shape": [2, 2, 2], "spacing": [0.1, 0.1, 0.1]},
+    "sun": {"zenith": 30.0},
+    "cloud": {"phase_function": {"type": "henyey-greenstein", "g": 0.85}},
+}
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value", "message"),
+    [
+        ("sun", "zenith", "60", "sun.zenith must be a number"),
+        ("sun", "zenith", None, "sun.zenith must be a number"),
+        ("sun", "zenith", True, "sun.zenith must be a number"),
+        ("sun", "zenith", float("nan"), "sun.zenith must be"),
+        ("grid", "shape", [2, 2, 2.5], r"grid.shape\[2\] must be an integer"),
+        ("cloud", "colour", 1, "cloud.colour is no known key"),
+    ],
+)
+def test_a_stored_scene_is_checked_as_strictly_as_toml(table, key, value, message):
+    scene = {**SCENE, table: {**SCENE[table], key: value}}
+    assert scene_of_tables(Path("images.nc"), SCENE).sun.zenith == 30.0
+    with pytest.raises(SettingsError, match=f"images.nc: {message}"):
+        scene_of_tables(Path("images.nc"), scene)
+
+
+def test_stored_noise_is_checked_as_strictly_as_toml():
+    assert noise_of_table(Path("images.nc"), {"full_well": 20000}).full_well == 20000
+    with pytest.raises(SettingsError, match="noise: full_well must be a number"):
+        noise_of_table(Path("images.nc"), {"full_well": "20000"})
 
 
 @pytest.mark.parametrize("run", ["x", 5, [1]])
