@@ -12,7 +12,13 @@ from pydantic import ValidationError
 
 from cloudtomo_cl.clouds.volume import CloudVolume, uniform_layers, weighted_mean
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.files.extinction import PLAUSIBLE_EXTINCTION, check_extinction, check_radius, require_plausible
+from cloudtomo_cl.files.extinction import (
+    LARGEST,
+    PLAUSIBLE_EXTINCTION,
+    check_extinction,
+    check_radius,
+    require_plausible,
+)
 from cloudtomo_cl.files.missing import require_present
 from cloudtomo_cl.files.units import parse_unit
 from cloudtomo_cl.memory import require
@@ -22,7 +28,7 @@ from cloudtomo_cl.scene.grid import Grid
 # What a three-dimensional field may be: its units tell. Our unit of each.
 OUR_UNITS = {"extinction": "km-1", "liquid water content": "g m-3", "mixing ratio": "g kg-1"}
 # What the largest value of a cloud may be where nobody stated the unit, and what it can never be.
-PLAUSIBLE_WATER, MOST_WATER = (0.005, 20.0), 50.0
+PLAUSIBLE_WATER, MOST_WATER, MOST_EXTINCTION = (0.005, 20.0), 50.0, 1e5
 RADII_OF_CLOUDS = (0.1, 1000.0)
 # Below zero by no more than this share of the largest value is rounding.
 _ROUNDING = 1e-6
@@ -155,10 +161,10 @@ def _known(path: Any, field: Quantity, options: ReadingOptions) -> tuple[np.ndar
     if missing.any() and options.missing == "clear":
         became, values = ", taken as clear", np.where(missing, 0.0, values)
     require_present(path, field.kind, values, "if they are clear air, add --missing clear")
-    wrong = ~(np.isfinite(values) & (values >= 0))
+    wrong = ~(np.isfinite(values) & (values >= 0) & (values < LARGEST))
     if wrong.any():
         # Models leave rounding errors below zero behind.
-        if np.isfinite(values).all() and values.min() > -_ROUNDING * values.max():
+        if np.isfinite(values).all() and values.max() < LARGEST and values.min() > -_ROUNDING * values.max():
             became += f"; {int(wrong.sum())} below 0 by rounding, taken as 0"
             values = np.maximum(values, 0.0)
         else:
@@ -170,6 +176,11 @@ def _require_plausible_field(path: Any, field: Quantity, largest: float) -> None
     if field.kind == "extinction":
         if not field.stated:
             require_plausible(path, field.name, largest, "km-1", PLAUSIBLE_EXTINCTION)
+        elif largest > MOST_EXTINCTION:
+            raise DataError(
+                f"{path}: {field.name} is {largest:g} km^-1 at most, and no cloud has more than {MOST_EXTINCTION:g}: "
+                f"it is something else, its units '{field.unit}' are wrong, or it marks missing values without _FillValue"
+            )
     elif not field.stated:
         require_plausible(path, field.name, largest, "g m-3", PLAUSIBLE_WATER)
     elif largest > MOST_WATER:

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 # What extinctions without units may be, largest of a cloud, km^-1: less is likely one in m^-1.
 PLAUSIBLE_EXTINCTION = (0.5, 2000.0)
 PLAUSIBLE_RADIUS = (0.5, 500.0)
+# Above this a number is no quantity of a cloud in any unit, but a mark for missing values.
+LARGEST = 1e15
 
 
 def _axis(path: Any, dataset: xr.Dataset, name: str) -> tuple[Axis, float, float]:
@@ -121,7 +123,7 @@ def read_extinction(source: Source) -> tuple[Grid, np.ndarray]:
 
 def check_extinction(path: Any, name: str, values: np.ndarray) -> None:
     """Checks that values of a cloud are known, finite and not negative everywhere. DataError names the first voxel."""
-    wrong = ~(np.isfinite(values) & (values >= 0))
+    wrong = ~(np.isfinite(values) & (values >= 0) & (values < LARGEST))
     if wrong.any():
         voxel = tuple(int(i) for i in np.argwhere(wrong)[0])
         missing = int(np.isnan(values).sum())

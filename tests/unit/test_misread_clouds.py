@@ -217,10 +217,19 @@ def test_a_radius_that_is_missing_in_a_clouds_own_file_is_refused():
 
 
 def test_a_fill_that_no_attribute_tells_is_named():
-    field = WATER.copy()
-    field[0, 0, 0] = -999.0
-    with pytest.raises(DataError, match="-999.*attribute _FillValue"):
-        read_cloud(les(field), RADIUS)
+    for fill in (-999.0, 1e20, -1e34, 9e36):
+        for read, data in (
+            (lambda data: read_cloud(data, RADIUS), les(np.where(WATER == 0.3, fill, WATER))),
+            (read_extinction, les(np.where(WATER == 0.3, fill, 150 * WATER), "extinction", units="km-1")),
+            (read_cloud, les(np.where(WATER == 0.3, fill, 150 * WATER), "extinction", units="km-1")),
+        ):
+            with pytest.raises(DataError, match="voxel \\(2, 1, 1\\).*attribute _FillValue"):
+                read(data)
+
+
+def test_an_extinction_that_no_cloud_has_is_refused_whatever_its_unit():
+    with pytest.raises(DataError, match="no cloud has more than 100000"):
+        read_cloud(les(1e4 * WATER, "extinction", units="m-1"))
 
 
 # ---- dimensions

@@ -178,6 +178,13 @@ def test_a_mark_for_bad_pixels_that_no_attribute_tells_is_refused(value, known):
         read_measurements(data)
 
 
+def test_a_radiance_far_below_its_noise_is_refused():
+    data = dataset()
+    data.radiance.values[1, 2, 3] = -0.1
+    with pytest.raises(DataError, match="row 2, column 3 is -0.1 .*no noise"):
+        read_measurements(data)
+
+
 def test_noise_below_zero_is_read():
     data = dataset()
     data.radiance.values[1, 2, 3], data.radiance_standard_error.values[1, 2, 3] = -0.02, 0.01
