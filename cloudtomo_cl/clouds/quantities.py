@@ -178,8 +178,8 @@ def _require_plausible_field(path: Any, field: Quantity, largest: float) -> None
             require_plausible(path, field.name, largest, "km-1", PLAUSIBLE_EXTINCTION)
         elif largest > MOST_EXTINCTION:
             raise DataError(
-                f"{path}: {field.name} is {largest:g} km^-1 at most, and no cloud has more than {MOST_EXTINCTION:g}: "
-                f"it is something else, its units '{field.unit}' are wrong, or it marks missing values without _FillValue"
+                f"{path}: {field.name} is {largest:g} km^-1 at most, and no cloud has over {MOST_EXTINCTION:g}: "
+                f"it is something else, its units '{field.unit}' are wrong, or it marks missing values unsaid"
             )
     elif not field.stated:
         require_plausible(path, field.name, largest, "g m-3", PLAUSIBLE_WATER)
