@@ -123,7 +123,7 @@ def _says_otherwise(variable: xr.DataArray, kind: str) -> str:
     if re.fullmatch(_STANDARD_NAMES[kind], str(variable.attrs.get("standard_name", "")).lower()):
         return ""
     if kind == "liquid water content" and re.search(r"\bwater\b|\blwc\b", words) and "vapo" not in words:
-        words = re.sub(r"\bin (dry |moist )?air\b", "", words)
+        words = re.sub(r"\b(in|of|per kg|per kilogram|per volume|per unit volume) (of )?(dry |moist )?air\b", "", words)
     found = re.search(_OTHER_THINGS[kind], words)
     return found.group().strip() if found else ""
 

@@ -71,9 +71,16 @@ def decoded(path: Any, name: Any, variable: xr.Variable) -> xr.Variable:
     if absent.any():
         values = np.where(absent, np.nan, values.astype(np.float64) if values.dtype.kind in "iu" else values)
     done = {*_FILL_ATTRIBUTES, *_RANGE_ATTRIBUTES, *_SCALE_ATTRIBUTES, "unsigned"}
-    kept = {key: value for key, value in variable.attrs.items() if _short(key) not in done}
+    kept = {key: _plain_text(value) for key, value in variable.attrs.items() if _short(key) not in done}
     encoding = {key: value for key, value in variable.encoding.items() if key in ("units", "bounds")}
     return xr.Variable(variable.dims, values, kept, encoding)
+
+
+def _plain_text(value: Any) -> Any:
+    """Text, where an attribute holds it as bytes or as the only entry of an array."""
+    if isinstance(value, np.ndarray) and value.size == 1 and value.dtype.kind in "OSU":
+        value = value.ravel()[0]
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
 
 
 class _Attributes:

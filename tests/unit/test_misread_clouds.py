@@ -84,6 +84,19 @@ def test_a_reynolds_number_is_no_radius():
         read_cloud(les().assign(Re=((), 300.0)))
 
 
+@pytest.mark.parametrize(
+    "long_name",
+    ["cloud liquid water content in air", "mass of cloud liquid water per volume of air", "water + ice condensate"],
+)
+def test_water_may_say_what_it_lies_in(long_name):
+    assert_is_the_cloud(read_cloud(les(long_name=long_name), RADIUS))
+
+
+@pytest.mark.parametrize("units", [b"g m-3", np.array(["g m-3"], dtype=object)])
+def test_units_may_be_bytes_or_an_array_of_one(units):
+    assert_is_the_cloud(read_cloud(les(units=units), RADIUS))
+
+
 def test_a_standard_name_finds_a_field_of_any_name():
     data = les(name="foo", standard_name="mass_concentration_of_cloud_liquid_water_in_air")
     assert_is_the_cloud(read_cloud(data, RADIUS))
@@ -228,7 +241,7 @@ def test_a_fill_that_no_attribute_tells_is_named():
 
 
 def test_an_extinction_that_no_cloud_has_is_refused_whatever_its_unit():
-    with pytest.raises(DataError, match="no cloud has more than 100000"):
+    with pytest.raises(DataError, match="no cloud has over 100000"):
         read_cloud(les(1e4 * WATER, "extinction", units="m-1"))
 
 
