@@ -96,7 +96,7 @@ def of_table(operator: Any, rendering: Any, adjoint: np.ndarray, mask: np.ndarra
     """The adjoint gradient by the radiance table, and its Jacobian."""
     import pyopencl.array
 
-    table = found("RadianceTable", "RadianceField")(operator)
+    table = found("RadianceTable", "RadianceTable")(operator)
     change = np.where(mask, np.random.default_rng(2).normal(size=mask.shape), 0).astype(np.float32)
     change = pyopencl.array.to_device(operator.device.queue, change)
     for turn in range(2):
