@@ -106,8 +106,8 @@ def scene_struct(
     scene: Scene,
     side_flights: bool = False,
     truncation: float = np.inf,
-    skips_clear: bool = False,
-    clear_shift: int = 0,
+    skips_empty: bool = False,
+    empty_shift: int = 0,
 ) -> np.ndarray:
     """The kernels' Scene, shape (); truncation in sr^-1."""
     struct = np.zeros((), STRUCTS["Scene"])
@@ -133,8 +133,8 @@ def scene_struct(
     struct["surface_albedo"] = scene.surface.albedo
     struct["side_flights"] = side_flights
     struct["truncation"] = truncation
-    struct["skips_empty"] = skips_clear
-    struct["empty_shift"] = clear_shift
+    struct["skips_empty"] = skips_empty
+    struct["empty_shift"] = empty_shift
     return struct
 
 

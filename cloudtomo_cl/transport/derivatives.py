@@ -50,17 +50,17 @@ _REFRESH = 4
 
 
 def table_footprint(voxels: int) -> Footprint:
-    """What a `RadianceField` of so many voxels takes."""
+    """What a `RadianceTable` of so many voxels takes."""
     return Footprint(_BYTES_PER_CELL * voxels * BINS, 16 * voxels * BINS, _HOST_BYTES_PER_CELL * voxels * BINS)
 
 
 def jacobian_footprint(pixels: int, voxels: int) -> Footprint:
-    """What `RadianceField.jacobian` takes: an average and what is added to it, and a block of rows on the device."""
+    """What `RadianceTable.jacobian` takes: an average and what is added to it, and a block of rows on the device."""
     rows = 8.0 * max(_BLOCK, voxels)
     return Footprint(rows, rows / 2, 2 * 4.0 * pixels * voxels)
 
 
-class RadianceField:
+class RadianceTable:
     """A table of the diffuse radiance by voxel and direction, and gradients by it.
 
     Parameters
@@ -82,7 +82,7 @@ class RadianceField:
         import pyopencl.array
 
         if operator.mask is None:
-            raise DataError("a radiance field needs the mask of its operator: give one, for instance of ones")
+            raise DataError("a radiance table needs the mask of its operator: give one, for instance of ones")
         self._operator = operator
         self._array = pyopencl.array
         device, mask = operator.device, operator.mask
@@ -184,7 +184,7 @@ class RadianceField:
         for start in range(0, pixels, block):
             count = min(block, pixels - start)
             rows = [self._array.zeros(operator.device.queue, (count, self.columns), np.float32) for _ in range(2)]
-            for launch in operator.kept_launches(rendering):
+            for launch in operator.stored_launches(rendering):
                 launch.run_pixels(
                     kernel, count, **self._buffers, first_pixel=start, row_count=count, column_count=self.columns,
                     first_rows=rows[0], later_rows=rows[1],
@@ -227,7 +227,7 @@ class RadianceField:
         scale = FIXED_POINT_SCALE / largest if largest > 0 else 0.0
         factors = operator.device.constant((adjoint * scale).astype(np.float32))
         tangent = np.zeros(len(operator.pixels))
-        for launch in operator.kept_launches(rendering):
+        for launch in operator.stored_launches(rendering):
             paths = self._array.empty(operator.device.queue, launch.paths, np.float32)
             launch.run(
                 self._gradient_paths, **self._buffers, adjoint=factors, change=change, gradient=total,
@@ -245,7 +245,7 @@ class RadianceField:
 
         self._table *= _FADING
         field = self._field.get()
-        require_sums(field, "the radiance field", "voxel of the mask, direction and kind")
+        require_sums(field, "the radiance table", "voxel of the mask, direction and kind")
         self._table += field / np.float32(TABLE_UNIT)
         pyopencl.enqueue_fill_buffer(
             self._operator.device.queue,
