@@ -296,6 +296,7 @@ class _StoredNumbers:
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     samples: Annotated[int, Field(ge=1, lt=2**31)] = 1
     iteration: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    stream: Annotated[int, Field(ge=0, lt=2**32)] = 0
     target_error: Annotated[float, Field(gt=0, lt=10)] = 1.0
     photons: Annotated[float, Field(ge=1, le=1e15)] = 1.0
     cloud_file: str = ""

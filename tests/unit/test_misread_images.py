@@ -140,7 +140,7 @@ def flags(values, **attributes):
 )
 def test_a_pixel_that_is_not_valid_is_bad(values, attributes):
     read = read_measurements(flags(values, **attributes))
-    assert read.bad_pixels == 1 and np.isnan(read.images[0][1, 2])
+    assert read.invalid_pixels == 1 and np.isnan(read.images[0][1, 2])
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def test_a_missing_radiance_is_a_bad_pixel(value, attributes):
     data.radiance.values[1, 2, 3] = value
     data.radiance.attrs.update(attributes)
     read = read_measurements(data)
-    assert read.bad_pixels == 1 and np.isnan(read.images[1][2, 3])
+    assert read.invalid_pixels == 1 and np.isnan(read.images[1][2, 3])
 
 
 @pytest.mark.parametrize("value", [-999.0, -1.0, -9999.0, 1e20, -0.5])
@@ -202,7 +202,7 @@ def test_masked_pixels_of_arrays_are_bad():
     view = VIEWS[0]
     image = np.ma.masked_array(np.full((4, 5), 0.1), np.arange(20).reshape(4, 5) == 7)
     read = Measurements((view,), (image,), (np.zeros((4, 5)),))
-    assert read.bad_pixels == 1 and np.isnan(read.images[0][1, 2]) and type(read.images[0]) is np.ndarray
+    assert read.invalid_pixels == 1 and np.isnan(read.images[0][1, 2]) and type(read.images[0]) is np.ndarray
 
 
 # ---- stored settings
