@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 RADIANCE_UNITS = "W m-2 sr-1"
-# Above this a number is no radiance but a mark for bad pixels.
+# Above this a number is no radiance but a mark for invalid pixels.
 _BEYOND_RADIANCES = 1e16
 # A radiance below zero by more standard errors than this is no noise.
 _MOST_BELOW_ZERO = 8.0
@@ -252,7 +252,7 @@ def _valid(path: Any, flags: xr.DataArray) -> xr.DataArray:
 
 
 def _refuse_unlikely(path: Any, radiance: np.ndarray, error: np.ndarray) -> None:
-    """Refuses radiances that can only be a mark for bad pixels which no attribute tells."""
+    """Refuses radiances that can only be a mark for invalid pixels which no attribute tells."""
     sigma = np.where(np.isfinite(error), error, 0.0)
     with np.errstate(invalid="ignore"):
         negative = (radiance < 0) & (radiance < -_MOST_BELOW_ZERO * sigma)
@@ -264,7 +264,7 @@ def _refuse_unlikely(path: Any, radiance: np.ndarray, error: np.ndarray) -> None
         view, row, column = np.argwhere(wrong)[0]
         raise DataError(
             f"{path}: radiance of view {view} at row {row}, column {column} is {radiance[view, row, column]:g} (and "
-            f"{int(wrong.sum()) - 1} more are like it), which is no noise: if it marks bad pixels, set them to NaN, or "
+            f"{int(wrong.sum()) - 1} more are like it), which is no noise: if it marks invalid pixels, set them to NaN, or "
             f"say so with the attribute _FillValue"
         )
 
