@@ -25,7 +25,7 @@ class _Renders(Protocol):
     def images(self, values: np.ndarray, /) -> list[np.ndarray]: ...
 
 
-@renamed_attributes(invalid_pixels="invalid_pixels")
+@renamed_attributes(bad_pixels="invalid_pixels")
 @dataclass(frozen=True)
 class Measurements:
     """Images of one cloud.

@@ -36,7 +36,7 @@ _LONGEST_SUM = 1 << 15
 _BYTES_PER_VOXEL, _BYTES_PER_PIXEL, _BYTES_PER_PATH, _HOST_BYTES_PER_PIXEL = 8, 48, 4, 160
 
 
-@renamed_attributes(stream="stream")
+@renamed_attributes(iteration="stream")
 @dataclass(frozen=True)
 class Rendering:
     """Radiances of the operator's pixels.
@@ -164,7 +164,7 @@ class RadianceOperator:
         self._replay_paths = self.device.kernel("replay", "replay_paths", self._medium.features)
         self._pace = Pace(self.device)
 
-    @renamed_arguments(stream="stream", store_paths="store_paths")
+    @renamed_arguments(iteration="stream", keep_paths="store_paths")
     @device_errors("rendering")
     def render(
         self,
