@@ -47,6 +47,19 @@ STRUCTS: dict[str, np.dtype] = {
             ("first_ray", np.int32),  # in the array of rays; -1: affine
         ]
     ),
+    "VirtualCollision": np.dtype(
+        [
+            ("position", np.float32, 3),  # voxel units
+            ("direction", np.float32, 3),  # unit vector
+            ("voxel", np.int32, 3),
+            ("throughput", np.float32),  # of the flight's path
+            ("share", np.float32),  # of the flight in its end's local estimate
+            ("event", np.uint32),  # number of the flight
+            ("aside", np.int32),  # whether it is a side flight
+            ("path", np.uint32),  # in its launch
+            ("of", np.uint32),  # so many of its path, of which it is kept
+        ]
+    ),
     "PixelSums": np.dtype(
         [
             ("half_sum", np.float32, 2),  # radiances of even and odd samples, sr^-1

@@ -27,7 +27,7 @@ SEED, ITERATION, SAMPLES = 8, 2, 8
 def compare_with_reference(scene, random, operator, **options):
     """Radiances of the paths, and the gradient of a random combination of pixels."""
     extinction = extinction_of(scene)
-    rendering = operator.render(extinction, SAMPLES, seed=SEED, iteration=ITERATION, store_paths=True)
+    rendering = operator.render(extinction, SAMPLES, seed=SEED, stream=ITERATION, store_paths=True)
     paths = reference_paths(scene, extinction, operator, SAMPLES, SEED, ITERATION, **options)
     expected_radiance = radiances(paths)
     agree = np.abs(kernel_paths(rendering) - expected_radiance) <= 1e-3 * np.abs(expected_radiance)
@@ -134,7 +134,7 @@ def test_gradients_are_those_of_finite_differences(device, scene, estimator):
     extinction = cloud()
 
     def cost(values, batch):
-        return weights @ operator.render(values, PER_BATCH, seed=21, iteration=batch).mean
+        return weights @ operator.render(values, PER_BATCH, seed=21, stream=batch).mean
 
     gradients = [
         operator.gradient(operator.render(extinction, PER_BATCH, 21, batch, store_paths=True), adjoint).get()
