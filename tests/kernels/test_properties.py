@@ -110,7 +110,6 @@ def test_radiances_and_gradients_are_finite_and_radiances_not_negative(device, d
     assert np.isfinite(rendering.mean).all() and np.isfinite(rendering.standard_error).all()
     gradient = operator.gradient(rendering, np.ones((4, 2))).get()
     assert np.isfinite(gradient).all()
-    assert (gradient[extinction == 0] <= 0).all()  # where nothing collides, more extinction only dims
 
 
 @settings(max_examples=25, **THE_SAME_EVERY_TIME)
