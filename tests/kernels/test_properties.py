@@ -121,7 +121,7 @@ def test_paths_are_those_of_the_reference(device, data, scene, exponent):
     extinction = extinctions(scene, 10.0**exponent, seed=2)
     operator = RadianceOperator(scene, [view], device)
     samples = 8
-    found = kernel_paths(operator.render(extinction, samples, seed=5, iteration=2, store_paths=True))
+    found = kernel_paths(operator.render(extinction, samples, seed=5, stream=2, store_paths=True))
     expected = radiances(reference_paths(scene, extinction.astype(float), operator, samples, 5, 2))
     agree = np.abs(found - expected) <= 2e-3 * np.abs(expected) + 1e-12
     # Of 32 paths a few take another turn where rounding decides (see test_paths).
