@@ -8,7 +8,7 @@ import numpy as np
 
 from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.opencl.fixed_point import require_sums
-from cloudtomo_cl.opencl.layout import MOST_SAMPLES, STRUCTS
+from cloudtomo_cl.opencl.layout import STRUCTS
 
 if TYPE_CHECKING:
     from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering, StoredLaunch
@@ -83,8 +83,9 @@ class VirtualCollisions:
         import pyopencl.array
 
         count = len(operator.pixels)
-        chosen = operator.of_pixels(operator.pixels[np.unique(np.linspace(0, count - 1, min(count, _PATHS)).astype(int))])
-        paths = len(chosen.pixels) * min(-(-_PATHS // len(chosen.pixels)), MOST_SAMPLES)
+        evenly = np.unique(np.linspace(0, count - 1, min(count, _PATHS)).astype(int))
+        chosen = operator.of_pixels(operator.pixels[evenly])
+        paths = len(evenly) * -(-_PATHS // len(evenly))
         given = chosen._arguments(rendering._medium, 0, paths, rendering.seed, rendering.stream)
         lengths = pyopencl.array.zeros(self._device.queue, operator.scene.grid.shape, np.int64)
         unit = 1.0 / (_UNIT * min(operator.scene.grid.spacing))
