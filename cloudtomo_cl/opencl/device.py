@@ -262,11 +262,12 @@ class Device:
 
         return pyopencl.array.empty(self.queue, shape, dtype)
 
-    def launch(self, kernel: Any, work_items: int, *arguments: Any, **named: Any) -> None:
-        """Runs a kernel on at least `work_items` work items (kernels skip the rest)."""
+    def launch(self, kernel: Any, work_items: int, *arguments: Any, global_offset: int = 0, **named: Any) -> None:
+        """Runs a kernel on at least `work_items` work items from `global_offset` on (kernels skip the rest)."""
         groups = -(-work_items // WORK_GROUP_SIZE)
         with device_errors(f"device {self.name}: launching {kernel.function_name}"):
-            kernel(self.queue, (groups * WORK_GROUP_SIZE,), (WORK_GROUP_SIZE,), *arguments, **named)
+            offset = {"global_offset": (global_offset,)} if global_offset else {}
+            kernel(self.queue, (groups * WORK_GROUP_SIZE,), (WORK_GROUP_SIZE,), *arguments, **offset, **named)
 
 
 class Pace:
