@@ -5,7 +5,7 @@
  * l km in direction d adds w l (source(d) - radiance(d)) to the derivative of the pixel, with the
  * source function that droplets there would have, and the way to the sun adds -l times the local
  * estimate. Source and radiance come from the table, which the paths of all pixels fill. It is this
- * pooling that takes the noise out; the table's cells are what biases it (docs/estimators.md).
+ * pooling that takes the noise out; the table's cells are what biases it (docs/explanation/derivatives.md).
  *
  * The including file defines, before it includes this, the struct `Tally` with at least the members of
  * walk/radiance.h and

@@ -32,7 +32,7 @@
 
 /* Side flights aimed at the sun: expected number per unit of throughput x phase function (sr),
  * its bounds, and the threshold of the roulette on local estimates (sr^-1). Found by
- * measurement: docs/estimators.md. */
+ * measurement: docs/explanation/radiance.md. */
 #define SIDE_FLIGHT_RATE 6.0f
 #define SIDE_FLIGHT_LEAST 0.05f
 #define SIDE_FLIGHT_MOST 6.0f

@@ -105,7 +105,7 @@ def test_a_field_goes_on_with_the_same_bits(device):
     for rendering in renderings[:5]:
         stopped.gradient(rendering, np.ones((72, 2)), nothing)
     resumed = RadianceField(operator)
-    resumed.restore(stopped.state())
+    resumed.restore(stopped.arrays())
     found = [resumed.gradient(r, np.ones((72, 2)), nothing)[0].get() for r in renderings[5:]]
     np.testing.assert_array_equal(found, expected[5:])
 
@@ -144,7 +144,7 @@ def test_the_jacobian_is_that_of_gradient_and_tangent(device, random):
     rays = [RayView(origins, directions * (1, 1, 0) - (0, 0, 2))]
     operator = RadianceOperator(SCENES["oblique, absorbing, ground"], rays, device, mask=mask)
     field, rendering = filled(operator, values)
-    state = field.state()
+    state = field.arrays()
     jacobian = field.jacobian(rendering)
     field.restore(state)
     adjoint, change = random.normal(size=len(operator.pixels)), random.normal(size=GRID.shape).astype(np.float32)

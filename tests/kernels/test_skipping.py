@@ -7,8 +7,9 @@ from scenes import ABOVE, CAMERA, PERIODIC, RAYS, kernel_paths, optics
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import Boundary, Scene, Sun, Surface
+from cloudtomo_cl.transport import medium
 from cloudtomo_cl.transport.medium import clear_distances, clear_shift, occupied_blocks
-from cloudtomo_cl.transport.radiance import RadianceOperator, medium
+from cloudtomo_cl.transport.radiance import RadianceOperator
 
 GRID = Grid(shape=(9, 12, 9), spacing=(0.034, 0.027, 0.04), origin=(0.5, -0.2, 0.2))
 
