@@ -96,7 +96,7 @@ def of_table(operator: Any, rendering: Any, adjoint: np.ndarray, mask: np.ndarra
     """The adjoint gradient by the radiance table, and its Jacobian."""
     import pyopencl.array
 
-    table = found("RadianceTable", "RadianceField")(operator)
+    table = found("RadianceTable")(operator)
     change = np.where(mask, np.random.default_rng(2).normal(size=mask.shape), 0).astype(np.float32)
     change = pyopencl.array.to_device(operator.device.queue, change)
     for turn in range(2):
@@ -104,7 +104,7 @@ def of_table(operator: Any, rendering: Any, adjoint: np.ndarray, mask: np.ndarra
         yield f"table gradient {turn}", digest(gradient)
         yield f"table tangent {turn}", digest(tangent)
     yield "jacobian", digest(table.jacobian(rendering))
-    for name, array in sorted(table.state().items()):
+    for name, array in sorted(table.arrays().items()):
         yield f"table state: {name}", digest(array)
 
 
@@ -132,16 +132,17 @@ def of_steps(device: Any) -> Iterator[tuple[str, str]]:
     value, gradient = found("PriorOperator")(prior, shape, device).value_and_gradient(on_device, 1.3, 0.4)
     yield "prior: value", digest(np.array(value))
     yield "prior: gradient", digest(gradient)
-    slopes = random.normal(size=(STEPS, *shape)).astype(np.float32)
-    gradients = [pyopencl.array.to_device(device.queue, slope) for slope in slopes]
-    for solver in ("adam", "sgd"):
-        for variable in ("extinction", "square-root"):
-            optimizer = ct.Optimizer(type=solver, variable=variable, step=0.2)
-            descent = found("Descent")(optimizer, extinction, extinction > 0, device)
-            for gradient in gradients:
-                descent.step(gradient)
-            for name, array in sorted(descent.state().items()):
-                yield f"{solver}, {variable}: {name}", digest(array)
+    start = extinction[extinction > 0]
+    slopes = [slope[extinction > 0] for slope in random.normal(size=(STEPS, *shape)).astype(np.float32)]
+    nothing, image = np.zeros_like(start), found("AveragedImage").empty(1)
+    for name, kind in (("adam", ct.Adam), ("sgd", ct.SGD)):
+        for parametrisation in ("extinction", "square-root"):
+            solver = kind(parametrisation=parametrisation, step_size=0.2)
+            state = found("DescentState")(start, start, start, nothing, nothing, 0, image, None)
+            for slope in slopes:
+                state = solver.moved(state, slope, device)
+            for array in ("extinction", "estimate", "before", "first_moment", "second_moment"):
+                yield f"{name}, {parametrisation}: {array}", digest(getattr(state, array))
 
 
 def sparse_cloud() -> np.ndarray:

@@ -52,7 +52,7 @@ def steps_by_event(case: Case, paths: int, seed: int = 1) -> np.ndarray:
     kernel = Kernel(cl.Kernel(program, "count_paths"), "count_paths", _PARAMETERS)
     crossings, events = np.zeros((count, _EVENTS), np.uint16), np.zeros(count, np.uint32)
     counted, ended = device.constant(crossings), device.constant(events)
-    field = operator._medium.field(case.extinction, skips_clear=True)
+    field = operator._medium.filled(case.extinction, skips_empty=True)
     given = operator._arguments(field, 0, count, seed, 0)
     device.launch(kernel, count, **given, crossings=counted, events=ended)
     cl.enqueue_copy(queue, crossings, counted)

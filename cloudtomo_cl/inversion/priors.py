@@ -20,7 +20,7 @@ SMOOTHNESS_CURVATURE = 27 / 26
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Prior:
-    """R = N (smoothness / 2 ||A b||^2 + monotonicity R_mon) + n sparsity R_clear, b the extinction in km^-1.
+    """R = N (smoothness / 2 ||A b||^2 + monotonicity R_mon) + n sparsity R_sparsity, b the extinction in km^-1.
 
     n is the data term's unit, the mean over pixels of the weighted variances of the measured images' noise; N has
     the modelled images' noise in it, too, and falls during a run. So the weights say what clouds are like, and follow
@@ -31,7 +31,7 @@ class Prior:
     Source: the supplement's Eqs. 20-23, with the gradient corrected (docs/explanation/derivatives.md), and
     the constants of the paper's released code.
 
-    R_clear = sum b / (b + clear). It is ours: every voxel that holds cloud costs as much as its one
+    R_sparsity = sum b / (b + b0). It is ours: every voxel that holds cloud costs as much as its one
     parameter would fit of the noise (Akaike 1974's criterion, made smooth as by Geman and McClure 1985),
     so that what the images leave open stays clear.
 
@@ -42,7 +42,7 @@ class Prior:
     c1, c2 : km
     threshold : km^-1
     sparsity : 1 for the criterion above, 0 for none
-    clear : km^-1, the extinction at which half of the cost is due
+    sparsity_scale : b0, km^-1, the extinction at which half of the cost is due
     """
 
     smoothness: NotNegative = 0.02
@@ -51,7 +51,7 @@ class Prior:
     c2: Positive = 0.05
     threshold: Annotated[float, Field(ge=0)] = 0.01
     sparsity: NotNegative = 1.0
-    clear: Positive = 3.0
+    sparsity_scale: Positive = 3.0
 
 
 @runtime_checkable
@@ -164,7 +164,8 @@ class DevicePrior:
 
     def curvature(self, extinction: np.ndarray, units: NoiseUnits) -> float:
         prior = self._prior
-        return self.smoothness(units) * SMOOTHNESS_CURVATURE + units.measured * (prior.sparsity / prior.clear**2)
+        of_sparsity = units.measured * (prior.sparsity / prior.sparsity_scale**2)
+        return self.smoothness(units) * SMOOTHNESS_CURVATURE + of_sparsity
 
     def smoothness(self, units: NoiseUnits) -> float:
         return units.weighted * self._prior.smoothness
@@ -217,7 +218,7 @@ class PriorOperator:
             monotonicity=weight * prior.monotonicity,
             extinction=extinction,
             sparsity=noise * prior.sparsity,
-            sparsity_scale=prior.clear,
+            sparsity_scale=prior.sparsity_scale,
             gradient=gradient,
         )
         smooth = np.square(self._work.get(), dtype=np.float64).sum()
@@ -225,7 +226,7 @@ class PriorOperator:
         value = weight * (prior.smoothness / 2 * smooth + prior.monotonicity * monotone)
         if noise * prior.sparsity > 0:
             b = extinction.get().astype(float)
-            value += noise * prior.sparsity * float(np.sum(b / (b + prior.clear)))
+            value += noise * prior.sparsity * float(np.sum(b / (b + prior.sparsity_scale)))
         return float(value), gradient
 
     def of_array(self, extinction: np.ndarray, weight: float, noise: float) -> tuple[float, np.ndarray]:

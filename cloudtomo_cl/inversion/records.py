@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cloudtomo_cl.renamed import renamed_attributes
 from cloudtomo_cl.scene.grid import Grid
 
 
+@renamed_attributes(photons="paths")
 @dataclass(frozen=True)
 class IterationRecord:
     """What one iteration did; a line of the history.

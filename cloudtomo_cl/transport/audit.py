@@ -102,8 +102,8 @@ def combined(audits: Sequence[Audit]) -> Audit:
 _ADVICE = "the device computes wrongly; try another (cloudtomo devices), and please report this with its output"
 
 
-class Account:
-    """The account on the device, one per run of paths."""
+class Budget:
+    """The budget on the device, one per run of paths."""
 
     def __init__(self, device: Device) -> None:
         import pyopencl.array
@@ -116,7 +116,7 @@ class Account:
         return self.sums.data
 
     def audit(self, radiance_sum: float = 0.0) -> Audit:
-        """What the account says.
+        """What the budget says.
 
         radiance_sum : of all paths, sr^-1, what a truncation left
 
@@ -125,7 +125,7 @@ class Account:
         TransportError : a sum has overflowed
         """
         copies = self.sums.get()
-        require_sums(copies, "the account of the paths' weights", "copy and termination")
+        require_sums(copies, "the budget of the paths' weights", "copy and termination")
         sums = dict(zip(TERMINATIONS, copies.sum(axis=0, dtype=float) / WEIGHT_UNIT))
         launched = sums["LAUNCHED"]
         shares = {name: float(value / max(launched, 1.0)) for name, value in sums.items()}

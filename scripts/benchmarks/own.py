@@ -16,7 +16,7 @@ import cloudtomo_cl as ct
 from benchmarks.children import child
 from benchmarks.scenes import generated
 from benchmarks.timing import Line, cpu_seconds, timed
-from cloudtomo_cl.transport.derivatives import RadianceField
+from cloudtomo_cl.transport.derivatives import RadianceTable
 
 
 def machine() -> str:
@@ -39,12 +39,12 @@ def gradient_over_forward(quick: bool) -> Iterator[Line]:
     case = generated(32, 48)
     operator = ct.RadianceOperator(case.scene, (case.view,), mask=case.extinction > 0)
     adjoint = np.full((len(operator.pixels), 2), 1.0)
-    field = RadianceField(operator)
+    field = RadianceTable(operator)
     change = pyopencl.array.zeros(operator.device.queue, operator.scene.grid.shape, np.float32)
     samples, repeats = (64, 4) if quick else (256, 8)
     ratios = {"replay": [], "field": []}
     for n in range(repeats + 1):
-        rendering, seconds = timed(lambda n=n: operator.render(case.extinction, samples, n, keep_paths=True))
+        rendering, seconds = timed(lambda n=n: operator.render(case.extinction, samples, n, store_paths=True))
         for name, run in (
             ("replay", lambda r=rendering: operator.gradient(r, adjoint).get()),
             ("field", lambda r=rendering: field.gradient(r, adjoint, change)[0].get()),

@@ -84,7 +84,7 @@ def pieces(request, device):
     """Each path's sums by name, and the rendering of the same paths."""
     scene = SCENES["ground"]
     operator = RadianceOperator(scene, [CAMERA], device, estimator=request.param)
-    rendering = operator.render(extinction_of(scene).astype(np.float32), SAMPLES, SEED, keep_paths=True)
+    rendering = operator.render(extinction_of(scene).astype(np.float32), SAMPLES, SEED, store_paths=True)
     program = device.build(f"{macro('sum_pieces', PARAMETERS)}\n{SOURCE}")
     kernel = Kernel(cl.Kernel(program, "sum_pieces"), "sum_pieces", PARAMETERS)
     count = SAMPLES * len(operator.pixels)
