@@ -90,7 +90,8 @@ TESTS: dict[str, tuple[str, ...]] = {
     "kernels/jacobian.cl": (KERNELS + "field", KERNELS + "finite_differences", SYSTEM + "problem"),
     "kernels/near_field.*": (KERNELS + "field", KERNELS + "finite_differences", SYSTEM + "problem"),
     "kernels/products.cl": (KERNELS + "field", SYSTEM + "problem"),
-    "kernels/*": (KERNELS + "tallies", KERNELS + "walk", KERNELS + "paths", KERNELS + "exact", KERNELS + "properties", KERNELS + "gradient",
+    "kernels/*": (KERNELS + "tallies", KERNELS + "walk",
+                  KERNELS + "paths", KERNELS + "exact", KERNELS + "properties", KERNELS + "gradient",
                   KERNELS + "field", KERNELS + "flux", KERNELS + "audit"),
 }  # fmt: skip
 # A mutant may be so much slower than the code before it counts as noticed, and so many seconds in any case.
