@@ -45,3 +45,10 @@ def test_what_an_own_prior_may_not_return_is_named(prior, message):
 def test_what_is_no_prior_is_refused():
     with pytest.raises(DataError, match="prior is a float"):
         bound_prior(3.0, VOXELS, None)
+
+
+@pytest.mark.parametrize(("own", "bound"), [(0.25, 14 * 0.25), (-1.0, 0.0)])
+def test_an_own_curvature_is_in_the_same_unit_and_never_negative(own, bound):
+    prior = Squares()
+    prior.curvature = lambda extinction, voxels: own
+    np.testing.assert_array_equal(bound_prior(prior, VOXELS, None).curvature(EXTINCTION, UNITS), [bound, bound])
