@@ -132,7 +132,7 @@ class Jacobian(LinearOperator):
         return _by_columns(self._transposed, np.asarray(y, np.float32))
 
     def curvature(self, weights: np.ndarray) -> np.ndarray:
-        """The diagonal of J^T W J, about: sum_d w_d (near_dv^2 + far_dv^2), for scaling.
+        """The diagonal of J^T W J: sum_d w_d J_dv^2.
 
         Parameters
         ----------
@@ -142,7 +142,13 @@ class Jacobian(LinearOperator):
         -------
         shape (voxels,), float64
         """
-        return self._transposed(np.asarray(weights, np.float32)[:, None], squares=True)[:, 0].astype(float)
+        own = self._structure
+        far, given, result = self._far_transposed(np.asarray(weights, np.float32)[:, None], squares=True)
+        self._launch(
+            1, "jacobian_curvature", own.voxels, **self._by_column, pixel_block=own.pixel_block,
+            block_count=len(own.voxel_blocks), far=self._far, of_blocks=far, y=given, result=result,
+        )  # fmt: skip
+        return result.get()[:, 0].astype(float)
 
     @device_errors("a product with the derivatives")
     def _times(self, x: np.ndarray) -> np.ndarray:
@@ -163,25 +169,38 @@ class Jacobian(LinearOperator):
         return result.get()
 
     @device_errors("a product with the derivatives")
-    def _transposed(self, y: np.ndarray, squares: bool = False) -> np.ndarray:
-        """J^T y for vectors, shape (pixels, vectors); of squared entries for a curvature."""
+    def _transposed(self, y: np.ndarray) -> np.ndarray:
+        """J^T y for vectors, shape (pixels, vectors)."""
+        vectors = y.shape[1]
+        far, given, result = self._far_transposed(y, squares=False)
+        self._launch(
+            vectors, "jacobian_transposed", self._structure.voxels, **self._by_column, of_blocks=far, y=given,
+            result=result,
+        )  # fmt: skip
+        return result.get()
+
+    def _far_transposed(self, y: np.ndarray, squares: bool) -> tuple[DeviceArray, DeviceArray, DeviceArray]:
+        """The far field's part, y on the device, and where the result is to go."""
         own, vectors = self._structure, y.shape[1]
         given, sums, far, result = self._arrays(
             vectors, own.pixels, len(own.pixel_blocks), len(own.voxel_blocks), own.voxels
         )
         given.set(np.ascontiguousarray(y))
-        blocks, pixel_blocks = own.voxel_blocks, own.pixel_blocks
-        self._sum_members(vectors, "pixels", pixel_blocks, given, sums)
-        counts = {"pixel_block_count": len(pixel_blocks), "block_count": len(blocks)}
+        self._sum_members(vectors, "pixels", own.pixel_blocks, given, sums)
         self._launch(
-            vectors, "far_transposed", len(blocks), **counts, far=self._far, squares=squares, y=sums, result=far
-        )
-        self._launch(
-            vectors, "jacobian_transposed", own.voxels, voxel_count=own.voxels, column_start=own.column_start,
-            entries=own.column_entries, rows=own.column_rows, values=self._near, squares=squares, block=own.block,
-            of_blocks=far, y=given, result=result,
+            vectors, "far_transposed", len(own.voxel_blocks), pixel_block_count=len(own.pixel_blocks),
+            block_count=len(own.voxel_blocks), far=self._far, squares=squares, y=sums, result=far,
         )  # fmt: skip
-        return result.get()
+        return far, given, result
+
+    @property
+    def _by_column(self) -> dict[str, Any]:
+        """The near field as kernels take it that go through its columns."""
+        own = self._structure
+        return {
+            "voxel_count": own.voxels, "column_start": own.column_start, "entries": own.column_entries,
+            "rows": own.column_rows, "values": self._near, "block": own.block,
+        }  # fmt: skip
 
     def _sum_members(self, vectors: int, name: str, blocks: Blocks, given: DeviceArray, result: DeviceArray) -> None:
         if name not in self._buffers:
@@ -256,10 +275,12 @@ class JacobianSums:
         unit = operator.scene.sun.irradiance / rendering.samples * rate / DERIVATIVE_UNIT
         overflown = operator.device.zeros(1, np.uint32)
         self._far_sums.fill(0)
+        self._add_blocks(rendering)
         for first, count in self._rows():
             slots = int(own.slot_start_on_host[first + count] - own.slot_start_on_host[first])
             sums = operator.device.zeros(max(slots, 1), np.int64)
             self._add_paths(rendering, first, count, sums)
+            self._subtract(first, count, sums)
             operator.device.launch(
                 operator.device.kernel("near_field", "average_near"), count, scene=own.scene_struct, column=own.column,
                 tiles=own.tiles, slot_start=own.slot_start, first_pixel=first, row_count=count,
@@ -277,14 +298,34 @@ class JacobianSums:
                 "the optics are extreme, or the device is at fault; use fewer paths at a time, or another device"
             )
 
+    def _add_blocks(self, rendering: Rendering) -> None:
+        """Derivatives summed over blocks, without bias."""
+        own, operator = self.structure, self._operator
+        virtual = operator.virtual_collisions
+        extinction = virtual.extinction(operator, rendering, None)
+        for launch in operator.stored_launches(rendering):
+            virtual.run(
+                launch, "blocks", virtual_extinction=extinction, column=own.column, block=own.block,
+                pixel_block=own.pixel_block, block_count=len(own.voxel_blocks), far_sums=self._far_sums,
+            )  # fmt: skip
+
+    def _subtract(self, first: int, count: int, sums: DeviceArray) -> None:
+        """What the near field has already goes out of the blocks' sums: together they are without bias."""
+        own = self.structure
+        device = self._operator.device
+        device.launch(
+            device.kernel("near_field", "subtract_near"), count, scene=own.scene_struct, tiles=own.tiles,
+            column=own.column, slot_start=own.slot_start, first_pixel=first, row_count=count, block=own.block,
+            pixel_block=own.pixel_block, block_count=len(own.voxel_blocks), near_sums=sums, far_sums=self._far_sums,
+        )  # fmt: skip
+
     def _add_paths(self, rendering: Rendering, first: int, count: int, sums: DeviceArray) -> None:
         own = self.structure
         kernel = self._operator.device.kernel("jacobian", "jacobian_paths", self._table.features)
         for launch in self._operator.stored_launches(rendering):
             launch.run_rows(
                 kernel, count, **self._table.buffers, tiles=own.tiles, slot_start=own.slot_start, first_pixel=first,
-                row_count=count, place=own.place, block=own.block, pixel_block=own.pixel_block,
-                block_count=len(own.voxel_blocks), near_sums=sums, far_sums=self._far_sums,
+                row_count=count, place=own.place, near_sums=sums,
             )  # fmt: skip
 
     def _rows(self) -> list[tuple[int, int]]:
