@@ -12,6 +12,7 @@ from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.inversion.objective import AveragedImage
 from cloudtomo_cl.inversion.problem import Problem
+from cloudtomo_cl.inversion.solvers.blas import with_one_blas_thread
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
 from cloudtomo_cl.opencl.device import Device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
@@ -102,6 +103,7 @@ class _Descent:
         table = RadianceTable(problem.operator) if self.gradient == "adjoint" else None
         return DescentState(start, start, start, nothing, nothing, 0, image, table)
 
+    @with_one_blas_thread
     def step(self, problem: Problem, state: DescentState, *, seed: int, stream: int) -> tuple[DescentState, Progress]:
         """One iteration; see `Solver`.
 
