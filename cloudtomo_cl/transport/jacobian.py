@@ -275,12 +275,10 @@ class JacobianSums:
         unit = operator.scene.sun.irradiance / rendering.samples * rate / DERIVATIVE_UNIT
         overflown = operator.device.zeros(1, np.uint32)
         self._far_sums.fill(0)
-        self._add_blocks(rendering)
         for first, count in self._rows():
             slots = int(own.slot_start_on_host[first + count] - own.slot_start_on_host[first])
             sums = operator.device.zeros(max(slots, 1), np.int64)
             self._add_paths(rendering, first, count, sums)
-            self._subtract(first, count, sums)
             operator.device.launch(
                 operator.device.kernel("near_field", "average_near"), count, scene=own.scene_struct, column=own.column,
                 tiles=own.tiles, slot_start=own.slot_start, first_pixel=first, row_count=count,
@@ -298,34 +296,14 @@ class JacobianSums:
                 "the optics are extreme, or the device is at fault; use fewer paths at a time, or another device"
             )
 
-    def _add_blocks(self, rendering: Rendering) -> None:
-        """Derivatives summed over blocks, without bias."""
-        own, operator = self.structure, self._operator
-        virtual = operator.virtual_collisions
-        extinction = virtual.extinction(operator, rendering, None)
-        for launch in operator.stored_launches(rendering):
-            virtual.run(
-                launch, "blocks", virtual_extinction=extinction, column=own.column, block=own.block,
-                pixel_block=own.pixel_block, block_count=len(own.voxel_blocks), far_sums=self._far_sums,
-            )  # fmt: skip
-
-    def _subtract(self, first: int, count: int, sums: DeviceArray) -> None:
-        """What the near field has already goes out of the blocks' sums: together they are without bias."""
-        own = self.structure
-        device = self._operator.device
-        device.launch(
-            device.kernel("near_field", "subtract_near"), count, scene=own.scene_struct, tiles=own.tiles,
-            column=own.column, slot_start=own.slot_start, first_pixel=first, row_count=count, block=own.block,
-            pixel_block=own.pixel_block, block_count=len(own.voxel_blocks), near_sums=sums, far_sums=self._far_sums,
-        )  # fmt: skip
-
     def _add_paths(self, rendering: Rendering, first: int, count: int, sums: DeviceArray) -> None:
         own = self.structure
         kernel = self._operator.device.kernel("jacobian", "jacobian_paths", self._table.features)
         for launch in self._operator.stored_launches(rendering):
             launch.run_rows(
                 kernel, count, **self._table.buffers, tiles=own.tiles, slot_start=own.slot_start, first_pixel=first,
-                row_count=count, place=own.place, near_sums=sums,
+                row_count=count, place=own.place, block=own.block, pixel_block=own.pixel_block,
+                block_count=len(own.voxel_blocks), near_sums=sums, far_sums=self._far_sums,
             )  # fmt: skip
 
     def _rows(self) -> list[tuple[int, int]]:
