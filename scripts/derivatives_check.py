@@ -154,7 +154,7 @@ def check(name: str, batches: int, samples: int, seed: int, limit: float | None 
         expected[batch] = [
             difference(operator, values, change, samples, seed + 1, batch) for change in changes.values()
         ]
-    print(f"{name}: {batches} batches of {samples} paths a pixel, seed {seed}; gradients took {seconds:.0f} s", flush=True)
+    print(f"{name}: {batches} x {samples} paths a pixel, seed {seed}, {seconds:.0f} s in gradients", flush=True)
     good = True
     for index, kind in enumerate(changes):
         mean, truth = found[:, index].mean(), expected[:, index].mean()
