@@ -2,8 +2,8 @@
 
 Both sides have the same random numbers, batch by batch; over 16 batches their mean difference is zero by Student's t
 at a significance of 1e-4 per kind and scene (14 in all). And the test can see something: the standard error of the
-difference is below 0.3 of the cloud's derivative, in thin and empty voxels below 0.03. scripts/derivatives_check.py does the same for larger clouds, with more
-paths.
+difference is below 0.3 of the cloud's derivative, in thin and empty voxels mostly below 0.03.
+scripts/derivatives_check.py does the same for larger clouds, with more paths.
 """
 
 import numpy as np
