@@ -1,5 +1,5 @@
-/* The derivatives of every pixel with respect to every voxel, by the radiance table (derivatives.h): near its line of
- * sight one by one, elsewhere by blocks of pixels and voxels. */
+/* The derivatives of every pixel with respect to every voxel, near its line of sight, by the radiance
+ * table (derivatives.h). */
 #include "near_field.h"
 #include "radiance_table.h"
 
@@ -10,16 +10,14 @@ typedef struct {
     const __constant Scene *scene;
     const __global Tile *tile;
     const __global ushort4 *place; /* of every column: voxel */
-    const __global int *block;     /* of every column */
     volatile __global Accumulator *near; /* [slot]: the pixel's, units of DERIVATIVE_UNIT per sr^-1 km */
-    volatile __global Accumulator *far;  /* [block]: the pixel block's */
 } Tally;
 
 inline void tally_derivative(int index, int column, float derivative, bool is_first, Tally *tally)
 {
     const int slot = tile_slot(tally->scene, tally->tile, convert_int3(tally->place[column].xyz));
-    volatile __global Accumulator *sum = slot >= 0 ? tally->near + slot : tally->far + tally->block[column];
-    accumulate(sum, DERIVATIVE_UNIT * derivative);
+    if (slot >= 0)
+        accumulate(tally->near + slot, DERIVATIVE_UNIT * derivative);
 }
 
 #include "derivatives.h"
@@ -39,8 +37,7 @@ __kernel void jacobian_paths(JACOBIAN_PATHS_PARAMETERS)
     const SampleKey key = {seed, stream, pixel.y, pixel.x, first_sample + n};
     Tally tally = {
         0.0f, 1.0f, path_radiance[path], {column, scattered, sunlight, table_sums}, scene, tiles + pixel_in_list,
-        place, block, near_sums + (slot_start[pixel_in_list] - slot_start[first_pixel]),
-        far_sums + (size_t)pixel_block[pixel_in_list] * block_count
+        place, near_sums + (slot_start[pixel_in_list] - slot_start[first_pixel])
     };
     walk_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &tally);
     check_replay(tally.radiance, tally.total, astray);

@@ -32,6 +32,23 @@ __kernel void near_fill(NEAR_FILL_PARAMETERS)
     }
 }
 
+/* From sums over blocks: what the near field has of them, for the pixels from first_pixel on. */
+__kernel void subtract_near(SUBTRACT_NEAR_PARAMETERS)
+{
+    const size_t item = get_global_id(0);
+    if (item >= row_count)
+        return;
+    const uint row = first_pixel + (uint)item;
+    const __global Tile *tile = tiles + row;
+    const __global Accumulator *sums = near_sums + (slot_start[row] - slot_start[first_pixel]);
+    volatile __global Accumulator *far = far_sums + (size_t)pixel_block[row] * block_count;
+    for (int slot = 0; slot < tile->slabs * TILE_AREA; ++slot) {
+        const int index = slot_index(scene, tile, slot);
+        if (index >= 0 && column[index] >= 0 && sums[slot] != 0)
+            accumulate(far + block[column[index]], -(float)sums[slot]);
+    }
+}
+
 /* entry <- keep entry + unit sum, for the pixels from first_pixel on. */
 __kernel void average_near(AVERAGE_NEAR_PARAMETERS)
 {

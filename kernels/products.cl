@@ -14,16 +14,29 @@ __kernel void jacobian_times(JACOBIAN_TIMES_PARAMETERS)
     result[row] = sum + of_blocks[pixel_block[row]];
 }
 
-/* near^T y + far^T y; of squares, the diagonal of J^T diag(y) J. */
+/* near^T y + far^T y. */
 __kernel void jacobian_transposed(JACOBIAN_TRANSPOSED_PARAMETERS)
 {
     const size_t voxel = get_global_id(0);
     if (voxel >= voxel_count)
         return;
     NUMBERS sum = 0.0f;
+    for (uint place = column_start[voxel]; place < column_start[voxel + 1]; ++place)
+        sum += values[entries[place]] * y[rows[place]];
+    result[voxel] = sum + of_blocks[block[voxel]];
+}
+
+/* The diagonal of J^T diag(y) J, J = near + far; `of_blocks` has that of the far field alone. */
+__kernel void jacobian_curvature(JACOBIAN_CURVATURE_PARAMETERS)
+{
+    const size_t voxel = get_global_id(0);
+    if (voxel >= voxel_count)
+        return;
+    NUMBERS sum = 0.0f;
     for (uint place = column_start[voxel]; place < column_start[voxel + 1]; ++place) {
+        const uint row = rows[place];
         const float value = values[entries[place]];
-        sum += (squares ? value * value : value) * y[rows[place]];
+        sum += value * (value + 2.0f * far[(size_t)pixel_block[row] * block_count + block[voxel]]) * y[row];
     }
     result[voxel] = sum + of_blocks[block[voxel]];
 }

@@ -154,7 +154,8 @@ def check(name: str, batches: int, samples: int, seed: int, limit: float | None 
         expected[batch] = [
             difference(operator, values, change, samples, seed + 1, batch) for change in changes.values()
         ]
-    print(f"{name}: {batches} x {samples} paths a pixel, seed {seed}, {seconds:.0f} s in gradients", flush=True)
+    what = f"{batches} batches of {samples} paths a pixel, seed {seed}"
+    print(f"{name}: {what}; gradients took {seconds:.0f} s", flush=True)
     good = True
     for index, kind in enumerate(changes):
         mean, truth = found[:, index].mean(), expected[:, index].mean()

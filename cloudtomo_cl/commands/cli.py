@@ -13,7 +13,7 @@ from types import ModuleType
 
 from cloudtomo_cl.commands import cloud, devices, flux, init, mie, reconstruct, render, report, validate
 from cloudtomo_cl.commands.stopping import ending_tidily
-from cloudtomo_cl.errors import CloudtomoError, Interrupted
+from cloudtomo_cl.errors import CloudtomoError, Interrupted, printable
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
@@ -69,6 +69,10 @@ class _Version(argparse.Action):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; returns the exit status."""
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal that has no ± shows another sign for it, and does not end the command after its work.
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
     options = vars(parser().parse_args(arguments))
     command = options.pop("command")
     try:
@@ -89,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _ended(command: str, text: str, status: int) -> int:
     """The status, with its reason on standard error."""
-    print(f"cloudtomo {command}: {text}", file=sys.stderr)
+    print(printable(f"cloudtomo {command}: {text}"), file=sys.stderr)
     return status
 
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.errors import BuildError, DeviceError
+from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.parameters import KERNELS, Kernel
 
 ENVIRONMENT_VARIABLE = "CLOUDTOMO_DEVICE"
@@ -242,6 +243,24 @@ class Device:
         cl = _import_pyopencl()
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
         return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values))
+
+    def array(self, values: np.ndarray) -> DeviceArray:
+        """A copy of an array, on the device."""
+        import pyopencl.array
+
+        return pyopencl.array.to_device(self.queue, np.ascontiguousarray(values))
+
+    def zeros(self, shape: Any, dtype: Any) -> DeviceArray:
+        """An array of zeros on the device."""
+        import pyopencl.array
+
+        return pyopencl.array.zeros(self.queue, shape, dtype)
+
+    def empty(self, shape: Any, dtype: Any) -> DeviceArray:
+        """An array on the device whose values are not set."""
+        import pyopencl.array
+
+        return pyopencl.array.empty(self.queue, shape, dtype)
 
     def launch(self, kernel: Any, work_items: int, *arguments: Any, global_offset: int = 0, **named: Any) -> None:
         """Runs a kernel on at least `work_items` work items from `global_offset` on (kernels skip the rest)."""

@@ -61,6 +61,14 @@ _ROWS = (
     "const uint first_pixel",
     "const uint row_count",
 )
+_BLOCKS = (
+    "const __global float *virtual_extinction",  # [x][y][z], km^-1; below 0: nothing is deposited
+    "const __global int *column",  # of every voxel of the grid, or -1
+    "const __global int *block",  # of every column
+    "const __global uint *pixel_block",  # of every pixel
+    "const uint block_count",
+    "volatile __global Accumulator *far_sums",  # [pixel block][block]
+)
 _FAR = (
     "const uint pixel_block_count",
     "const uint block_count",
@@ -101,6 +109,18 @@ KERNELS: dict[str, tuple[str, ...]] = {
         "const __global VirtualCollision *virtual_collisions",
         "const uint count",
     ),
+    "replay_blocks": (
+        *_REPLAY,
+        *_BLOCKS,
+        "__global VirtualCollision *virtual_collisions",
+        "volatile __global uint *virtual_collision_count",
+    ),
+    "virtual_blocks": (
+        *PATHS,
+        *_BLOCKS,
+        "const __global VirtualCollision *virtual_collisions",
+        "const uint count",
+    ),
     "path_lengths": (
         *PATHS,
         "const float unit",  # of the sums, per km
@@ -119,14 +139,19 @@ KERNELS: dict[str, tuple[str, ...]] = {
         *_TABLE,
         *_ROWS,
         "const __global ushort4 *place",  # of every column: the voxel
-        "const __global int *block",  # of every column
-        "const __global uint *pixel_block",  # of every pixel
-        "const uint block_count",
         "volatile __global Accumulator *near_sums",  # [slot] of the rows' pixels
-        "volatile __global Accumulator *far_sums",  # [pixel block][block]
     ),
     "near_count": (*_TILES, "const uint pixel_count", "__global uint *counts"),
     "near_fill": (*_TILES, "const uint pixel_count", "const __global uint *row_start", "__global int *columns"),
+    "subtract_near": (
+        *_TILES,
+        *_ROWS[1:],
+        "const __global int *block",
+        "const __global uint *pixel_block",
+        "const uint block_count",
+        "const __global Accumulator *near_sums",
+        "volatile __global Accumulator *far_sums",
+    ),
     "average_near": (
         "__constant Scene *scene",
         "const __global int *column",
@@ -165,9 +190,22 @@ KERNELS: dict[str, tuple[str, ...]] = {
         "const __global uint *entries",  # of every column, among the rows' values
         "const __global uint *rows",  # of these
         "const __global float *values",
-        "const int squares",
         "const __global int *block",
         "const __global NUMBERS *of_blocks",  # the far field's part, [block]
+        "const __global NUMBERS *y",
+        "__global NUMBERS *result",
+    ),
+    "jacobian_curvature": (
+        "const uint voxel_count",
+        "const __global uint *column_start",
+        "const __global uint *entries",
+        "const __global uint *rows",
+        "const __global float *values",
+        "const __global int *block",
+        "const __global uint *pixel_block",
+        "const uint block_count",
+        "const __global float *far",  # [pixel block][block]
+        "const __global NUMBERS *of_blocks",
         "const __global NUMBERS *y",
         "__global NUMBERS *result",
     ),

@@ -235,7 +235,7 @@ class RadianceTable:
 def _with_neighbours(values: np.ndarray) -> np.ndarray:
     """Sums over a voxel and the 26 around it, shape (x, y, z, ...).
 
-    SciPy's uniform_filter takes twice the time, much of the host's in an iteration.
+    SciPy's uniform_filter takes twice the time, much of the host's in an stream.
     """
     for axis in range(3):
         before = np.moveaxis(values, axis, 0)

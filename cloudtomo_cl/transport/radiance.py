@@ -175,7 +175,7 @@ class RadianceOperator:
         self._pixels = self.device.constant(self.pixels)
         self._render_paths = self.device.kernel("image", "render_paths", self._medium.features)
         self._sum_paths = self.device.kernel("image", "sum_paths", self._medium.features)
-        self._virtual_collisions = VirtualCollisions(self.device, self._medium.features)
+        self.virtual_collisions = VirtualCollisions(self.device, self._medium.features)
         self._pace = Pace(self.device)
 
     @renamed_arguments(iteration="stream", keep_paths="store_paths")
@@ -335,9 +335,9 @@ class RadianceOperator:
             raise DataError("adjoint is not finite")
         if largest > 0:
             factors = self.device.constant((adjoint * (FIXED_POINT_SCALE / largest)).astype(np.float32))
-            virtual = self._virtual_collisions.extinction(self, rendering, filling_limit)
+            virtual = self.virtual_collisions.extinction(self, rendering, filling_limit)
             for launch in self.stored_launches(rendering):
-                self._virtual_collisions.run(launch, adjoint=factors, virtual_extinction=virtual, gradient=total)
+                self.virtual_collisions.run(launch, adjoint=factors, virtual_extinction=virtual, gradient=total)
             require_sums(total.get(), "the gradient", "voxel")
         scale = largest / FIXED_POINT_SCALE * self.scene.sun.irradiance / (rendering.samples // 2)
         return total.astype(np.float32) * np.float32(scale)

@@ -32,16 +32,18 @@ class VirtualCollisions:
     """
 
     def __init__(self, device: Device, features: tuple[str, ...]) -> None:
-        self._device = device
-        self._replay_paths = device.kernel("replay", "replay_paths", features)
-        self._virtual_paths = device.kernel("virtual", "virtual_paths", features)
+        self._device, self._features = device, features
         self._path_lengths = device.kernel("lengths", "path_lengths", features)
 
-    def run(self, launch: StoredLaunch, **arguments: Any) -> None:
+    def run(self, launch: StoredLaunch, kind: str = "paths", **arguments: Any) -> None:
         """Replays the paths of a launch, and walks those from their virtual collisions.
 
-        arguments : adjoint, virtual_extinction, gradient; of both kernels
+        kind : "paths" for a gradient, "blocks" for sums over blocks of pixels and voxels
+        arguments : of both kernels, but for virtual_collisions
         """
+        file = "" if kind == "paths" else "_blocks"
+        replay = self._device.kernel(f"replay{file}", f"replay_{kind}", self._features)
+        virtual = self._device.kernel(f"virtual{file}", f"virtual_{kind}", self._features)
         import pyopencl
         import pyopencl.array
 
@@ -50,12 +52,12 @@ class VirtualCollisions:
         for begin in range(0, launch.paths, _PART):
             count = pyopencl.array.zeros(self._device.queue, 1, np.uint32)
             launch.run_part(
-                self._replay_paths, begin, min(begin + _PART, launch.paths), **arguments,
+                replay, begin, min(begin + _PART, launch.paths), **arguments,
                 virtual_collisions=collisions, virtual_collision_count=count,
             )  # fmt: skip
             found = int(count.get()[0])
             if found:
-                launch.walk(self._virtual_paths, found, **arguments, virtual_collisions=collisions, count=found)
+                launch.walk(virtual, found, **arguments, virtual_collisions=collisions, count=found)
 
     def extinction(self, operator: RadianceOperator, rendering: Rendering, limit: float | None) -> Any:
         """Of the virtual droplets, km^-1, on the device, float32, shape of the grid; -1 outside of the mask.

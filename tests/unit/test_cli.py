@@ -231,7 +231,7 @@ def test_render_makes_a_preview_of_every_view(folder):
     ("arguments", "message"),
     [
         ("scene.toml --samples 3", "samples is 3: it must be even"),
-        ("absent.toml", "absent.toml: cannot be read"),
+        ("absent.toml", "absent.toml: no such file"),
         ("scene.toml --device no-such-device", "no OpenCL device 'no-such-device'"),
         ("below.toml", "below.toml: view[0] is wrong: position lies below the ground"),
         ("damaged.toml", "damaged.nc"),

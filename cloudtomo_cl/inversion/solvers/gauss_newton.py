@@ -13,6 +13,7 @@ from pydantic.dataclasses import dataclass
 from cloudtomo_cl.inversion.jacobian_average import JacobianAverage
 from cloudtomo_cl.inversion.objective import cost_of_independent, noise_of
 from cloudtomo_cl.inversion.problem import Problem
+from cloudtomo_cl.inversion.solvers.blas import with_one_blas_thread
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
 from cloudtomo_cl.inversion.solvers.state import not_saved, of_any_length
 from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, standard_errors
@@ -103,6 +104,7 @@ class GaussNewton:
         nothing, none = np.zeros(pixels), np.zeros((0, voxels), np.float32)
         return GaussNewtonState(start, start, nothing, nothing, 0.0, 0, np.zeros(0, np.int64), none)
 
+    @with_one_blas_thread
     def step(
         self, problem: Problem, state: GaussNewtonState, *, seed: int, stream: int
     ) -> tuple[GaussNewtonState, Progress]:
@@ -172,6 +174,7 @@ class GaussNewton:
         lag = state.lag + noise_of((_TANGENT_ERROR * predicted) ** 2, weights)
         return replace(state, extinction=extinction, image=image + predicted, lag=lag)
 
+    @with_one_blas_thread
     def standard_error(
         self, problem: Problem, state: GaussNewtonState, draws: int, seed: int
     ) -> np.ndarray | None:
