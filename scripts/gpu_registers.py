@@ -29,6 +29,8 @@ from cloudtomo_cl.transport.derivatives import _FEATURES as TABLE_FEATURES
 KERNELS = (
     ("image", "render_paths", ()),
     ("replay", "replay_paths", ()),
+    ("virtual", "virtual_paths", ()),
+    ("lengths", "path_lengths", ()),
     ("derivatives", "gradient_paths", TABLE_FEATURES),
     ("flux", "trace_photons", ()),
     ("image", "render_paths", ("CLOUDTOMO_PHASE_TABLE",)),

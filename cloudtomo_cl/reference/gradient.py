@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cloudtomo_cl.reference.flights import voxel_crossings
 from cloudtomo_cl.reference.paths import (
     BLOCKS_PER_EVENT,
     Event,
@@ -21,7 +22,6 @@ from cloudtomo_cl.reference.paths import (
     first_ray,
     gather,
     local_estimate,
-    voxel_crossings,
     walk,
 )
 from cloudtomo_cl.reference.random import uniforms

@@ -309,7 +309,7 @@ class RadianceOperator:
             paths (see `objective.crossed_halves`).
         filling_limit : extinction, km^-1, up to which voxels are filled with virtual droplets, see
             kernels/replay.cl. It changes noise and time, not the mean, if it is above 0: without them voxels of
-            extinction 0 are biased. By default such that a path meets half a one
+            extinction 0 are biased. By default such that a path meets a tenth of one
 
         Returns
         -------

@@ -13,11 +13,11 @@ from cloudtomo_cl.opencl.layout import STRUCTS
 if TYPE_CHECKING:
     from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering, StoredLaunch
 
-# Virtual collisions per path. The mean of gradients does not depend on it; their noise and time do
-# little (docs/measurements/derivatives.md).
-_COLLISIONS_PER_PATH = 0.5
+# Virtual collisions per path. The mean of gradients does not depend on it, their noise and time do: more make cloudy
+# voxels noisier, fewer empty ones (docs/measurements/derivatives.md).
+_COLLISIONS_PER_PATH = 0.1
 # Paths by whose lengths that is set, and the sums' unit: a share of a voxel's shortest edge.
-_PATHS, _UNIT = 1 << 13, 2.0**-20
+_PATHS, _UNIT = 1 << 11, 2.0**-20
 # Paths that are replayed together: each may leave a virtual collision behind.
 _PART = 1 << 20
 
@@ -61,7 +61,7 @@ class VirtualCollisions:
         """Of the virtual droplets, km^-1, on the device, float32, shape of the grid; -1 outside of the mask.
 
         Together with the cloud's droplets it is at least `limit` (km^-1) in every voxel; by default so much that a
-        path meets half a virtual droplet.
+        path meets a tenth of a virtual droplet.
         """
         import pyopencl.array
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cloudtomo_cl.opencl.layout import ray_array, scene_struct, view_structs
-from cloudtomo_cl.reference import paths as reference
+from cloudtomo_cl.reference import flights as reference
 from cloudtomo_cl.reference import random as reference_random
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import Scene, Sun

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from scenes import ABOVE, ESTIMATORS, SCENES, extinction_of
 
+from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.reference.gradient import path_deposits
 from cloudtomo_cl.transport.radiance import RadianceOperator
+from cloudtomo_cl.transport.virtual_collisions import filling_limit
 
 SEED, STREAM, SAMPLES = 8, 2, 4
 LIMIT = 9.0  # km^-1: paths meet one to three virtual droplets
@@ -69,3 +71,35 @@ def test_deposits_with_a_radius_in_every_voxel_are_those_of_the_reference(device
     radius = random.uniform(5.0, 20.0, scene.grid.shape).astype(np.float32).astype(float)
     operator = RadianceOperator(scene, [ABOVE], device, effective_radius=radius)
     compare(operator, extinction_of(scene), np.ones(scene.grid.shape, bool), effective_radius=radius)
+
+
+def test_the_gradient_does_not_depend_on_how_launches_are_cut(device, monkeypatch):
+    scene = SCENES["air, ground, periodic"]
+    gradients = []
+    for items, part in ((1 << 18, 1 << 20), (400, 128)):
+        monkeypatch.setattr("cloudtomo_cl.transport.virtual_collisions._PART", part)
+        operator = RadianceOperator(scene, [ABOVE], device)
+        operator._pace.work_items = items
+        rendering = operator.render(extinction_of(scene), 100, SEED, STREAM, store_paths=True)
+        gradients.append(operator.gradient(rendering, np.ones((9, 2))).get())
+    assert len(rendering._launches) > 1
+    np.testing.assert_array_equal(*gradients)
+
+
+@pytest.mark.parametrize("limit", [-1.0, np.nan, np.inf])
+def test_a_limit_that_is_none_is_refused(device, limit):
+    operator = RadianceOperator(SCENES["ground"], [ABOVE], device)
+    rendering = operator.render(extinction_of(operator.scene), 2, store_paths=True)
+    with pytest.raises(DataError, match="filling_limit"):
+        operator.gradient(rendering, np.ones((9, 2)), limit)
+
+
+@pytest.mark.parametrize("collisions", [0.01, 0.3, 5.0])
+def test_voxels_filled_to_the_limit_are_met_as_often_as_wanted(random, collisions):
+    extinction, lengths = random.uniform(0, 30, 50) * (random.random(50) > 0.2), random.random(50) * 0.1
+    limit = filling_limit(extinction, lengths, collisions)
+    assert np.sum(np.maximum(limit - extinction, 0) * lengths) == pytest.approx(collisions)
+
+
+def test_what_no_path_crosses_has_no_limit():
+    assert filling_limit(np.ones(3), np.zeros(3), 0.1) == 0.0

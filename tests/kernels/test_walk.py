@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cloudtomo_cl.opencl.layout import scene_struct
-from cloudtomo_cl.reference import paths as reference
+from cloudtomo_cl.reference import flights as reference
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import Air, Boundary, Scene, Sun
 from cloudtomo_cl.transport.medium import profiles

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from cloudtomo_cl.reference import paths as reference
+from cloudtomo_cl.reference import flights as reference
 from cloudtomo_cl.reference import prior as reference_prior
 from cloudtomo_cl.scene.grid import Grid
 

@@ -59,9 +59,10 @@ class _Descent:
     iterations : on the finest of the automatic stages, at most; by default 600. A run that has done them goes on with
         more by `--resume`, unless its cost has settled
     start : extinction inside the mask before the first stage, km^-1
-    floor : least extinction inside the mask, km^-1; the gradient by replay needs it above 0
+    floor : least extinction inside the mask, km^-1; the gradients need none, but by its square root a voxel would stay
+        at 0
     gradient : "adjoint", by the radiance that all paths together find in a voxel (little noise, no 1 / extinction),
-        or "replay", the paper's score function of each path by itself
+        or "replay", the unbiased one of each path by itself
     parametrisation : descend in the "extinction" (km^-1), or in its "square-root" (km^-1/2), in which thin voxels
         take smaller steps
     step_size : length of a step in the parametrisation (Adam); factor of the gradient (SGD)
