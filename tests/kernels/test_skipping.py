@@ -130,4 +130,4 @@ def test_gradients_do_not_take_a_field_that_skips_clear_voxels(device, sparse):
 def test_a_field_of_another_scene_is_refused(device, sparse):
     of_one_sun, of_another = (RadianceOperator(Scene(grid=GRID, sun=Sun(zenith=z)), [ABOVE], device) for z in (30, 40))
     with pytest.raises(DataError, match="another scene"):
-        of_another.render(of_one_sun.field(sparse), 8)
+        of_another.render(of_one_sun.on_device(sparse), 8)
