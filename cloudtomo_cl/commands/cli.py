@@ -7,12 +7,16 @@ keywords and returns an exit status, or None for 0.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from types import ModuleType
+from typing import Any
 
 from cloudtomo_cl.commands import cloud, devices, flux, init, mie, reconstruct, render, report, validate
-from cloudtomo_cl.commands.stopping import ending_tidily
+from cloudtomo_cl.commands.stopping import listening
+from cloudtomo_cl.commands.streams import forgiving
 from cloudtomo_cl.errors import CloudtomoError, Interrupted
 
 EXIT_ERROR = 2
@@ -69,10 +73,15 @@ class _Version(argparse.Action):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; returns the exit status."""
-    options = vars(parser().parse_args(arguments))
-    command = options.pop("command")
+    with forgiving("cloudtomo"):
+        options = vars(parser().parse_args(arguments))
+        with without_display():
+            return _run(options.pop("command"), options)
+
+
+def _run(command: str, options: dict[str, Any]) -> int:
     try:
-        with ending_tidily():
+        with listening(f"cloudtomo {command}"):
             return COMMANDS[command].run(**options) or 0
     except Interrupted as interrupted:
         return _ended(command, str(interrupted), interrupted.status)
@@ -81,10 +90,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except MemoryError as error:
         return _ended(command, f"not enough memory ({error}): choose fewer pixels or voxels", EXIT_ERROR)
     except OSError as error:
-        # A disk, a terminal or a network drive that fails between the places that look for it.
+        # A disk or a network drive that fails between the places that look for it.
         return _ended(command, f"{error}: check the disk, permissions and the space left", EXIT_ERROR)
     except KeyboardInterrupt:
         return _ended(command, "interrupted", EXIT_INTERRUPTED)
+
+
+@contextmanager
+def without_display() -> Iterator[None]:
+    """Figures go into files: what a notebook or a desktop has chosen for its own may not even be installed here."""
+    name = "MPLBACKEND"
+    before = os.environ.get(name)
+    os.environ[name] = "agg"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
 
 
 def _ended(command: str, text: str, status: int) -> int:

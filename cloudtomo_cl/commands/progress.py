@@ -11,6 +11,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from cloudtomo_cl.commands import stopping
+
 if TYPE_CHECKING:
     from cloudtomo_cl.inversion.records import IterationRecord
 
@@ -30,7 +32,7 @@ def rendering(console: Console, total: int, unit: str = "samples") -> Iterator[D
         columns = (TextColumn("rendering"), BarColumn(), TextColumn("{task.completed}/{task.total} " + unit))
         with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
             task = bar.add_task("rendering", total=total)
-            yield lambda done: bar.update(task, completed=done)
+            yield _stoppable(lambda done: bar.update(task, completed=done))
         return
     start = shown = time.monotonic()
 
@@ -42,7 +44,7 @@ def rendering(console: Console, total: int, unit: str = "samples") -> Iterator[D
             left = (now - start) * (total - done) / max(done, 1)
             console.print(f"rendering: {done}/{total} {unit}, {duration(left)} left")
 
-    yield line
+    yield _stoppable(line)
 
 
 @contextmanager
@@ -52,7 +54,7 @@ def counting(console: Console, what: str) -> Iterator[Callable[[int, int], None]
         columns = (TextColumn(what), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeRemainingColumn())
         with Progress(*columns, console=console, transient=True) as bar:
             task = bar.add_task(what, total=None)
-            yield lambda done, total: bar.update(task, completed=done, total=total)
+            yield _stoppable(lambda done, total: bar.update(task, completed=done, total=total))
         return
     start = shown = time.monotonic()
 
@@ -63,7 +65,17 @@ def counting(console: Console, what: str) -> Iterator[Callable[[int, int], None]
             shown = now
             console.print(f"{what}: {done}/{total}, {duration((now - start) * (total - done) / done)} left")
 
-    yield line
+    yield _stoppable(line)
+
+
+def _stoppable(show: Callable[..., None]) -> Callable[..., None]:
+    """What is called between launches and sizes is called in a safe place: there a request to stop is looked at."""
+
+    def shown(*done: int) -> None:
+        stopping.check()
+        show(*done)
+
+    return shown
 
 
 def duration(seconds: float) -> str:

@@ -36,6 +36,7 @@ from cloudtomo_cl.inversion.stages import Stage, stages_of
 from cloudtomo_cl.memory import shape_text
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
+from cloudtomo_cl.scene.seeds import checked_seed
 from cloudtomo_cl.scene.grid import Grid, resample_in_mask
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
@@ -123,17 +124,14 @@ def reconstruct(
     refuse_old_names("reconstruct", old)
     device, prior, solver = device or choose_device(), prior or Prior(), solver or GaussNewton()
     stages = stages_of(scene.grid, stages, solver)
-    if truth is not None and np.shape(truth) != scene.grid.shape:
-        raise DataError(f"truth has shape {np.shape(truth)}, the grid {scene.grid.shape}")
-    _check_start(scene.grid, stages, solver)
     resumed = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
+    known = {"mask": mask, "device": device, "seed": seed, "truth": truth, "resume": resumed}
+    check(scene, measurements, stages, prior, solver, **known)
     if mask is None:
         mask = carved_mask(scene, measurements, device) if resumed is None else resumed.mask
     question = _Question(scene, measurements, prior, checked_mask(mask, scene.grid), device)
     check_memory(scene, measurements, stages, device, solver, question.mask)
     identity = identity_of(scene, measurements, stages, prior, solver, question.mask, truth, seed)
-    if resumed is not None:
-        resumed.check(identity)
     run = Run(stages, question.mask) if resumed is None else Run.resumed(stages, question.mask, resumed)
     keeper = KeepCheckpoints(Checkpoints(checkpoint, checkpoint_interval), identity, device.name)
     limit, asked = TimeLimit(time_limit), StopRequested(stop)
@@ -191,6 +189,42 @@ def _standard_error(problem: Problem, solver: Any, state: Any, draws: int, seed:
     """Of the estimate, if the solver knows it, km^-1, shape (voxels,)."""
     of_solver = getattr(solver, "standard_error", None)
     return None if of_solver is None else of_solver(problem, state, draws, seed)
+
+
+def check(
+    scene: Scene,
+    measurements: Measurements,
+    stages: Sequence[Stage] | None = None,
+    prior: Prior | Regulariser | None = None,
+    solver: Solver | None = None,
+    *,
+    mask: np.ndarray | None = None,
+    device: Device,
+    seed: int = 0,
+    truth: np.ndarray | None = None,
+    resume: Checkpoint | None = None,
+) -> None:
+    """Refuses what `reconstruct` with the same arguments would refuse, without a path.
+
+    What the solver keeps for the voxels of the mask counts as far as that is known: given, or a checkpoint's.
+
+    Raises
+    ------
+    DataError, DeviceError : as `reconstruct`
+    """
+    prior, solver = prior or Prior(), solver or GaussNewton()
+    stages = stages_of(scene.grid, stages, solver)
+    checked_seed(seed)
+    if truth is not None and np.shape(truth) != scene.grid.shape:
+        raise DataError(f"truth has shape {np.shape(truth)}, the grid {scene.grid.shape}")
+    if mask is None and resume is not None:
+        mask = resume.mask
+    if mask is not None:
+        mask = checked_mask(mask, scene.grid)
+    check_memory(scene, measurements, stages, device, solver, mask)
+    _check_start(scene.grid, stages, solver)
+    if resume is not None and mask is not None:
+        resume.check(identity_of(scene, measurements, stages, prior, solver, mask, truth, seed))
 
 
 def _check_start(grid: Grid, stages: Sequence[Stage], solver: Any) -> None:

@@ -17,6 +17,7 @@ from cloudtomo_cl.opencl.layout import MOST_SAMPLES, STRUCTS, ray_array, view_st
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.pixels import all_pixels
 from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.scene.seeds import checked_seed
 from cloudtomo_cl.scene.sensors import View
 from cloudtomo_cl.transport.audit import Account, Audit, check_replays
 from cloudtomo_cl.transport.medium import Field, Medium
@@ -188,10 +189,12 @@ class RadianceOperator:
 
         Raises
         ------
-        DataError : extinction of another shape, negative or not finite; samples odd, or beyond 2^32
+        DataError : extinction of another shape, negative or not finite; samples odd, or beyond 2^32; seed or
+            iteration no whole number of 32 bits
         TransportError : a radiance is not finite
         AuditError : energy was lost or gained (see `Audit.check`)
         """
+        seed, iteration = checked_seed(seed), checked_seed(iteration, "iteration")
         if samples < 2 or samples % 2:
             raise DataError(f"samples is {samples}: it must be even and at least 2 (halves are compared)")
         if first_sample < 0 or first_sample % 2:
