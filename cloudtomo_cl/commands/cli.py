@@ -15,7 +15,7 @@ from types import ModuleType
 from typing import Any
 
 from cloudtomo_cl.commands import cloud, devices, flux, init, mie, reconstruct, render, report, validate
-from cloudtomo_cl.commands.stopping import listening
+from cloudtomo_cl.commands.stopping import exit_status, listening
 from cloudtomo_cl.commands.streams import forgiving
 from cloudtomo_cl.errors import CloudtomoError, Interrupted
 
@@ -81,8 +81,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(command: str, options: dict[str, Any]) -> int:
     try:
-        with listening(f"cloudtomo {command}"):
-            return COMMANDS[command].run(**options) or 0
+        with listening(f"cloudtomo {command}") as stop:
+            status = COMMANDS[command].run(**options) or 0
+        if stop.signal_number is None:
+            return status
+        return _ended(command, "all was done when it was interrupted", exit_status(stop.signal_number))
     except Interrupted as interrupted:
         return _ended(command, str(interrupted), interrupted.status)
     except CloudtomoError as error:

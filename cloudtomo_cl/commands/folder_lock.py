@@ -8,7 +8,7 @@ import os
 import platform
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from datetime import datetime, timezone
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -97,13 +97,13 @@ def _refused(path: Path, owner: dict[str, Any]) -> DataError:
     known = {"process": "?", "host": "?", "since": "?"} | owner
     who = "process {process} on {host}, since {since}".format(**known)
     return DataError(
-        f"{path.parent}: another run is at work in this folder ({who}): wait for it, or choose another folder; if there "
-        f"is no such process any more, remove {path}"
+        f"{path.parent}: another run is at work in this folder ({who}): wait for it, or choose another folder; if "
+        f"there is no such process any more, remove {path}"
     )
 
 
 def _owner() -> dict[str, Any]:
-    now = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    now = datetime.now().astimezone().isoformat(timespec="seconds")
     return {"process": os.getpid(), "host": platform.node(), "since": now}
 
 

@@ -14,8 +14,8 @@ from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.settings.stored import stored_scene
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
-# Some seconds on a CPU. With fewer a pixel errors of a few bright paths do not hold: where a pixel missed them it is too
-# dark, and takes itself to be certain.
+# Some seconds on a CPU. With fewer a pixel its error does not hold: one that the few bright paths missed is too dark,
+# and takes itself to be certain.
 PATHS, FEWEST_SAMPLES = 3e6, 256
 
 

@@ -143,8 +143,8 @@ def prepare(request: Request) -> Job:
     check_views(scene, measurements.views)
     device = choose_device(request.device)
     seed = settings.run.seed if request.seed is None else request.seed
-    known = {"device": device, "seed": seed, "truth": truth, "resume": resumed}
-    check(scene, measurements, settings.stage, settings.prior, settings.solver, **known)
+    what = scene, measurements, settings.stage, settings.prior, settings.solver
+    check(*what, device=device, seed=seed, truth=truth, resume=resumed)
     stopping.check()
     return Job(
         request=request,
@@ -278,8 +278,7 @@ def deliver(job: Job, outcome: Outcome) -> None:
     ------
     Interrupted : somebody asked to stop: the result is on the disk, and nothing else was begun
     """
-    result, output = outcome.result, job.request.output
-    last = result.history[-1]
+    output = job.request.output
     _write_result(job, outcome)
     if outcome.signal_number is not None:
         text = f"interrupted in {outcome.where}; what was reached is in {output}: {job.request.resume_command}"

@@ -84,7 +84,7 @@ def forgiving(program: str) -> Iterator[None]:
     finally:
         out.flush()
         if out.lost is not None:
-            err.write(f"{program}: standard output could not be written ({out.lost.strerror}): the rest of it is lost\n")
+            err.write(f"{program}: standard output could not be written ({out.lost.strerror}): the rest is lost\n")
         err.flush()
         sys.stdout, sys.stderr = before
 

@@ -36,10 +36,10 @@ from cloudtomo_cl.inversion.stages import Stage, stages_of
 from cloudtomo_cl.memory import shape_text
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
-from cloudtomo_cl.scene.seeds import checked_seed
 from cloudtomo_cl.scene.grid import Grid, resample_in_mask
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.scene.seeds import checked_seed
 
 _LOGGER = logging.getLogger(__name__)
 # Where a solver does not say: inside the mask before the first stage, km^-1.
@@ -125,8 +125,9 @@ def reconstruct(
     device, prior, solver = device or choose_device(), prior or Prior(), solver or GaussNewton()
     stages = stages_of(scene.grid, stages, solver)
     resumed = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
-    known = {"mask": mask, "device": device, "seed": seed, "truth": truth, "resume": resumed}
-    check(scene, measurements, stages, prior, solver, **known)
+    check(
+        scene, measurements, stages, prior, solver, mask=mask, device=device, seed=seed, truth=truth, resume=resumed
+    )
     if mask is None:
         mask = carved_mask(scene, measurements, device) if resumed is None else resumed.mask
     question = _Question(scene, measurements, prior, checked_mask(mask, scene.grid), device)
