@@ -1,7 +1,7 @@
 """The forward model against numbers that others published, and against exact results.
 
 The cases are data: a scene, what is measured in it, and the number to find. `run` computes
-them with photons as many as one likes; docs/validation.md has the table with many.
+them with photons as many as one likes; docs/measurements/validation.md has the table with many.
 
 Every value is free of the sun's irradiance: fluxes are over the incident one, mu0 F0, and
 radiances are reflectance factors, pi L / (mu0 F0).
@@ -190,10 +190,10 @@ STEP_CLOUD: tuple[tuple[int, float, float, dict[str, float]], ...] = (
     (4, 60.0, 0.99, {"R": 0.47654, "T": 0.32490, "A": 0.19858, "Iu": 0.32256, "Id": 0.30941, "I601": 0.88616}),
 )
 # Columns of 30 m. The tops of the clouds lie at multiples of 1 m; the optical depth of every column
-# is kept whatever the height of the layers is, and docs/validation.md says how little depends on it.
+# is kept whatever the height of the layers is, and docs/decisions/landsat-layers.md says how little depends on it.
 LANDSAT_SPACING = (0.03, 0.03, 0.1)  # km
 LANDSAT = {"R": 0.30449, "T": 0.69553, "Iu": 0.21521}
-# The consensus's nadir radiances are noisy column by column: docs/validation.md.
+# The consensus's nadir radiances are noisy column by column: docs/decisions/landsat-blocks.md.
 LANDSAT_RADIANCE_BLOCK = 4
 # The sun shines from the side of low x: it stands at azimuth 180. I3RC counts azimuths of
 # views from the direction in which sunlight travels, so that I601 looks into the forward peak.

@@ -1,25 +1,77 @@
-/* Fluxes: every work item follows one photon from the sun. */
-#define CLOUDTOMO_FLUX
-#include "path.h"
+/* Fluxes: every work item follows one photon from the sun, and tallies what it leaves behind by column. */
+#include "walk/budget.h"
+#include "walk/camera.h"
+#include "walk/event.h"
+
+typedef struct {
+    Budget budget;
+    volatile __global Accumulator *columns; /* weights, [Flux][x][y] */
+} Tally;
+
+/* Adds a weight to the column that holds a position (in voxel units). */
+inline void tally_column(const __constant Scene *scene, Flux flux, float3 position, float weight, const Tally *tally)
+{
+    const int2 last = (int2)(scene->shape[0], scene->shape[1]) - 1;
+    const int2 column = clamp(convert_int2(wrapped(scene, position).xy), (int2)(0), last);
+    const int index = ((int)flux * scene->shape[0] + column.x) * scene->shape[1] + column.y;
+    accumulate(tally->columns + index, weight * WEIGHT_UNIT);
+}
+
+inline Flight on_flight(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)
+{
+    return fly(medium, ray, segment->optical_depth);
+}
+
+inline void on_leaving(const Medium *medium, const Segment *segment, const Flight *flight, const Ray *ray,
+                       Termination termination, bool ends, Tally *tally)
+{
+    const Flux downward = segment->event == 1u ? FLUX_DIRECT : FLUX_DIFFUSE;
+    if (termination == TERMINATION_TOP)
+        tally_column(medium->scene, FLUX_REFLECTED, ray->position, segment->throughput, tally);
+    if (termination == TERMINATION_BOTTOM)
+        tally_column(medium->scene, downward, ray->position, segment->throughput, tally);
+}
+
+inline void on_absorption(const Medium *medium, const Interaction *at, float weight, Tally *tally)
+{
+    const bool by_surface = at->particle == PARTICLE_SURFACE;
+    budget_absorption(&tally->budget, by_surface, weight);
+    if (!by_surface)
+        tally_column(medium->scene, FLUX_ABSORBED, at->ray.position, weight, tally);
+}
+
+inline void on_interaction(const Medium *medium, const Segment *segment, const Flight *flight, const Interaction *at,
+                           Tally *tally)
+{
+}
+
+inline void on_scattering(const Medium *medium, const Interaction *at, float3 new_direction, const SampleKey *key,
+                          Tally *tally)
+{
+}
+
+inline void on_roulette(float throughput, float raised, bool survives, Tally *tally)
+{
+    budget_roulette(&tally->budget, throughput, raised, survives);
+}
+
+inline void on_termination(Termination termination, float throughput, Tally *tally)
+{
+    budget_termination(&tally->budget, termination, throughput);
+}
+
+#include "walk/path.h"
 
 /* Photon `sample_in_launch * pixel_count + pixel` starts in a pixel of the sun's view of the
  * domain: on its top, or that of the atmosphere. */
-__kernel void trace_photons(__constant Scene *scene, const __global View *sun_view,
-                            const __global float *extinction, const __global float *table_row,
-                            const __global uchar *clear, const __global float *profiles,
-                            const uint pixel_count, const uint first_sample, const uint photon_count,
-                            const uint seed,
-                            volatile __global Accumulator *columns, /* weights, [Flux][x][y] */
-                            volatile __global Accumulator *account)
+__kernel void trace_photons(TRACE_PHOTONS_PARAMETERS)
 {
     const size_t photon = get_global_id(0);
     if (photon >= photon_count)
         return;
-    const SampleKey key = {seed, 0u, (uint)(photon % pixel_count), SUN_VIEW, first_sample + (uint)(photon / pixel_count)};
-    const Medium medium = make_medium(scene, extinction, table_row, clear, profiles);
-    Record record;
-    record_begin(&record);
-    record.account = account;
-    record.columns = columns;
-    trace_path(&medium, camera_ray(scene, sun_view, 0, &key), &key, &record);
+    const uint sample = first_sample + (uint)(photon / pixel_count);
+    const SampleKey key = {seed, 0u, (uint)(photon % pixel_count), SUN_VIEW, sample};
+    const Medium medium = make_medium(MEDIUM_ARGUMENTS);
+    Tally tally = {empty_budget(budget), columns};
+    walk_path(&medium, camera_ray(scene, sun_view, 0, &key), &key, &tally);
 }

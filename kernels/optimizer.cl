@@ -1,7 +1,7 @@
-/* Steps of stochastic descent. The variable is the extinction, or its square root; voxels
+/* Steps of stochastic descent. The parameter that is stepped is the extinction, or its square root; voxels
  * outside of the mask stay 0, those inside stay at or above the floor (km^-1). */
 
-/* Descends along `direction` in the variable, and writes the projected extinction. */
+/* Descends by `change` in the parameter, and writes the projected extinction. */
 inline void descend(__global float *extinction, const __global uchar *mask, size_t voxel,
                     float change, int square_root, float floor_extinction)
 {
@@ -21,9 +21,7 @@ inline float chain(const __global float *extinction, float gradient, size_t voxe
     return square_root ? 2.0f * sqrt(extinction[voxel]) * gradient : gradient;
 }
 
-__kernel void sgd_step(const uint voxel_count, __global float *extinction, const __global uchar *mask,
-                       const __global float *gradient, const float step, const int square_root,
-                       const float floor_extinction)
+__kernel void sgd_step(SGD_STEP_PARAMETERS)
 {
     const size_t voxel = get_global_id(0);
     if (voxel >= voxel_count)
@@ -33,19 +31,15 @@ __kernel void sgd_step(const uint voxel_count, __global float *extinction, const
 }
 
 /* Kingma and Ba 2015, Algorithm 1; the corrections of the moments' start are in
- * first_correction = 1 / (1 - decay1^t) and second_correction = 1 / (1 - decay2^t). */
-__kernel void adam_step(const uint voxel_count, __global float *extinction, const __global uchar *mask,
-                        const __global float *gradient, const float step, const int square_root,
-                        const float floor_extinction, __global float *first_moment,
-                        __global float *second_moment, const float decay1, const float decay2,
-                        const float first_correction, const float second_correction)
+ * first_correction = 1 / (1 - beta1^t) and second_correction = 1 / (1 - beta2^t). */
+__kernel void adam_step(ADAM_STEP_PARAMETERS)
 {
     const size_t voxel = get_global_id(0);
     if (voxel >= voxel_count)
         return;
     const float slope = chain(extinction, gradient[voxel], voxel, square_root);
-    const float first = decay1 * first_moment[voxel] + (1.0f - decay1) * slope;
-    const float second = decay2 * second_moment[voxel] + (1.0f - decay2) * slope * slope;
+    const float first = beta1 * first_moment[voxel] + (1.0f - beta1) * slope;
+    const float second = beta2 * second_moment[voxel] + (1.0f - beta2) * slope * slope;
     first_moment[voxel] = first;
     second_moment[voxel] = second;
     const float size = sqrt(second * second_correction);

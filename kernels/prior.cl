@@ -1,5 +1,5 @@
 /* The priors of the supplement's Eqs. 20-23, each with its exact gradient (the printed Eq. 23
- * lacks the transpose on Dz; see docs/estimators.md). One work item per voxel; the gradient is
+ * lacks the transpose on Dz; see docs/explanation/derivatives.md). One work item per voxel; the gradient is
  * gathered, not scattered: no atomics. Extinction in km^-1, arrays [x][y][z], z fastest. */
 
 inline int3 voxel_of(int index, int3 shape)
@@ -14,7 +14,7 @@ inline int index_of(int3 voxel, int3 shape)
 
 /* A: mean of the 26 neighbours minus the centre; beyond the edge stands the nearest voxel.
  * A is symmetric, the edges included: A^T A b is this kernel twice. */
-__kernel void laplacian(const __global float *extinction, const int3 shape, __global float *result)
+__kernel void laplacian(LAPLACIAN_PARAMETERS)
 {
     const int index = get_global_id(0);
     if (index >= shape.x * shape.y * shape.z)
@@ -37,9 +37,7 @@ inline float difference_z(const __global float *extinction, int index, int z, in
 
 /* Per voxel: minus tanh(c1 Dz b) tanh(c2 b) where b > threshold, and the factors that
  * multiply Dz^T (outer) and the identity (inner) in the gradient. */
-__kernel void monotonicity_terms(const __global float *extinction, const int3 shape, const float c1,
-                                 const float c2, const float threshold, __global float *value,
-                                 __global float *outer, __global float *inner)
+__kernel void monotonicity_terms(MONOTONICITY_TERMS_PARAMETERS)
 {
     const int index = get_global_id(0);
     if (index >= shape.x * shape.y * shape.z)
@@ -52,11 +50,8 @@ __kernel void monotonicity_terms(const __global float *extinction, const int3 sh
     inner[index] = counts ? -c2 * rise * (1.0f - presence * presence) : 0.0f;
 }
 
-/* gradient = smoothness * A^T A b + monotonicity * (Dz^T outer + inner) + sparsity * clear / (b + clear)^2. */
-__kernel void prior_gradient(const __global float *smooth, const __global float *outer,
-                             const __global float *inner, const int3 shape, const float smoothness,
-                             const float monotonicity, const __global float *extinction,
-                             const float sparsity, const float clear /* km^-1 */, __global float *gradient)
+/* gradient = smoothness * A^T A b + monotonicity * (Dz^T outer + inner) + sparsity * scale / (b + scale)^2. */
+__kernel void prior_gradient(PRIOR_GRADIENT_PARAMETERS)
 {
     const int index = get_global_id(0);
     if (index >= shape.x * shape.y * shape.z)
@@ -69,5 +64,5 @@ __kernel void prior_gradient(const __global float *smooth, const __global float 
             transposed += outer[index + u - z] * (float)((above == z) - (below == z)) / (float)(above - below);
     }
     gradient[index] = smoothness * smooth[index] + monotonicity * (transposed + inner[index])
-                      + sparsity * clear / ((extinction[index] + clear) * (extinction[index] + clear));
+                      + sparsity * sparsity_scale / ((extinction[index] + sparsity_scale) * (extinction[index] + sparsity_scale));
 }

@@ -7,7 +7,7 @@
 Needs `pip install '.[bench]'`, for Mitsuba's rows an LLVM library (Debian's libllvm19), and for scene C
 its file (CLOUDTOMO_DATA, or ../shared/data). Only ratios of what was measured in turn in one run are
 printed: each is the median of the repeats, with the least and the most of them. CPU seconds are those of
-all threads together. docs/speed.md holds the last full table.
+all threads together. docs/measurements/speed.md holds the last full table.
 """
 
 from __future__ import annotations

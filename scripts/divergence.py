@@ -3,7 +3,7 @@
     python scripts/divergence.py [--paths 64]
 
 Every path is walked by a kernel that counts its events and, in each event, its crossings of voxels: those of
-the flight, of side flights and of the ways to the sun (a jump through clear space counts as one). The work items
+the flight, of side flights and of shadow rays (a jump through clear space counts as one). The work items
 of a GPU go in step, in warps of 32 or waves of 64, and all wait for the one with most to do. A step here is a
 crossing, plus EVENT_STEPS for what an event does beside them. Compared are:
 
@@ -27,13 +27,14 @@ import pyopencl as cl
 from benchmarks.scenes import Case, generated, scene_c
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.transport.audit import Account
+from cloudtomo_cl.opencl.parameters import PATHS, Kernel, macro
 
 # What an event takes beside its crossings, in crossings: random numbers, phase functions, starts of flights
-# (from the profile in docs/speed.md).
+# (from the profile in docs/decisions/work-item-order.md).
 EVENT_STEPS = 10
 _EVENTS = 128  # those told apart, as in count.cl
 _SOURCE = Path(__file__).with_name("benchmarks") / "count.cl"
+_PARAMETERS = (*PATHS, "__global ushort *crossings", "__global uint *events")
 # Bytes that a crossing, and that a path brings through the memory: extinction and clear distance; radiance written
 # and read for the sum, the pixel's number.
 _CROSSING_BYTES, _PATH_BYTES = 5, 16
@@ -47,13 +48,13 @@ def steps_by_event(case: Case, paths: int, seed: int = 1) -> np.ndarray:
     device, queue = operator.device, operator.device.queue
     pixels = len(operator.pixels)
     count = pixels * paths
-    kernel = cl.Kernel(device.build(_SOURCE.read_text()), "count_paths")
+    program = device.build(f"{macro('count_paths', _PARAMETERS)}\n{_SOURCE.read_text()}")
+    kernel = Kernel(cl.Kernel(program, "count_paths"), "count_paths", _PARAMETERS)
     crossings, events = np.zeros((count, _EVENTS), np.uint16), np.zeros(count, np.uint32)
     counted, ended = device.constant(crossings), device.constant(events)
-    field = operator._medium.field(case.extinction, skips_clear=True)
-    account = Account(device)
+    field = operator._medium.filled(case.extinction, skips_empty=True)
     given = operator._arguments(field, 0, count, seed, 0)
-    device.launch(kernel, count, *given, account.data, counted, ended)
+    device.launch(kernel, count, **given, crossings=counted, events=ended)
     cl.enqueue_copy(queue, crossings, counted)
     cl.enqueue_copy(queue, events, ended)
     lived = np.arange(_EVENTS) < events[:, None]

@@ -63,7 +63,7 @@ def main() -> None:
                 start = time.process_time()
                 if estimator == "placed":
                     most = settings.samples / 2 * len(operator.pixels)
-                    rendering = render_to_error(operator, extinction, 1e-9, seed, most_photons=most)
+                    rendering = render_to_error(operator, extinction, 1e-9, seed, most_paths=most)
                 else:
                     rendering = operators[estimator].render(extinction, settings.samples, seed)
                 found.setdefault(estimator, []).append((*mean_of_image(rendering), time.process_time() - start))

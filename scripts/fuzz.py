@@ -71,7 +71,10 @@ RUN: dict[str, Any] = {
     "run": {"seed": 1, "time_limit": 0.05, "checkpoint_interval": 1.0},
     "stage": [{"grid": [2, 2, 2], "pixels": 0.5, "samples": 4, "iterations": 1, "window": 2, "prior_weight": 1.0}],
     "prior": {"smoothness": 1e-4, "monotonicity": 0.1, "c1": 0.2, "c2": 0.05, "threshold": 0.01},
-    "optimizer": {"type": "adam", "step": 0.1, "variable": "square-root", "floor": 0.01, "start": 2.0, "averaging": 3},
+    "solver": {
+        "type": "adam", "step_size": 0.1, "parametrisation": "square-root", "floor": 0.01, "start": 2.0,
+        "iterate_average_window": 3,
+    },
 }
 RENDER = ["render", "scene.toml", "--samples", "4", "--output", "new.nc"]
 RECONSTRUCT = ["reconstruct", "run.toml", "--output", "new"]

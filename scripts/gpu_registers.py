@@ -23,16 +23,16 @@ from pathlib import Path
 import pyopencl
 
 from cloudtomo_cl.opencl.device import choose_device, kernels_folder
-from cloudtomo_cl.transport.derivatives import _FEATURES as FIELD_FEATURES
+from cloudtomo_cl.transport.derivatives import _FEATURES as TABLE_FEATURES
 
 # File, kernel, macros. The last two show what optional features cost.
 KERNELS = (
-    ("render", "render_paths", ()),
-    ("gradient", "replay_paths", ()),
-    ("field", "field_paths", FIELD_FEATURES),
+    ("image", "render_paths", ()),
+    ("replay", "replay_paths", ()),
+    ("derivatives", "gradient_paths", TABLE_FEATURES),
     ("flux", "trace_photons", ()),
-    ("render", "render_paths", ("CLOUDTOMO_PHASE_TABLE",)),
-    ("render", "render_paths", ("CLOUDTOMO_PHASE_TABLE", "CLOUDTOMO_ATMOSPHERE")),
+    ("image", "render_paths", ("CLOUDTOMO_PHASE_TABLE",)),
+    ("image", "render_paths", ("CLOUDTOMO_PHASE_TABLE", "CLOUDTOMO_ATMOSPHERE")),
 )
 
 # libclc lacks it for NVIDIA, whose own library has it.

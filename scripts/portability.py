@@ -10,7 +10,7 @@ over: how often that was is printed). Oclgrind interprets kernels and looks for 
 is not theirs or was never written: there a choice of small tests runs (SIMULATED). Printed is a table,
 in Markdown; exit status 0 if all agree.
 
-docs/portability.md says what to install.
+docs/how-to/devices.md says what to install.
 """
 
 from __future__ import annotations
@@ -170,7 +170,7 @@ def compare_worker(samples: int, file: str) -> None:
 
     import cloudtomo_cl as ct
     from cloudtomo_cl.opencl.device import choose_device
-    from cloudtomo_cl.transport.derivatives import RadianceField
+    from cloudtomo_cl.transport.derivatives import RadianceTable
 
     mind_the_simulator()
     device = choose_device()
@@ -192,7 +192,7 @@ def compare_worker(samples: int, file: str) -> None:
     fields = {}
     for name, scene in scenes.items():
         operator = ct.RadianceOperator(scene, views, device, mask=np.ones(grid.shape, bool))
-        rendering = operator.render(extinction, samples, seed=3, iteration=5, keep_paths=True)
+        rendering = operator.render(extinction, samples, seed=3, iteration=5, store_paths=True)
         adjoint = np.column_stack([np.linspace(0.5, 1.5, len(operator.pixels))] * 2)
         change = pyopencl.array.zeros(device.queue, grid.shape, np.float32)
         results[f"{name} paths"] = np.concatenate([paths.get() for _, paths in rendering._launches])
@@ -202,7 +202,7 @@ def compare_worker(samples: int, file: str) -> None:
     np.savez(file, **results)
     # Last, and what there is has been kept: this is where drivers fall over.
     for name, (operator, *given) in fields.items():
-        results[f"{name} field"] = RadianceField(operator).gradient(*given)[0].get()
+        results[f"{name} field"] = RadianceTable(operator).gradient(*given)[0].get()
     np.savez(file, **results)
 
 

@@ -18,7 +18,7 @@ from scipy.ndimage import distance_transform_edt
 from cloudtomo_cl.commands.run_folder import RunFolder
 from cloudtomo_cl.files.extinction import read_extinction
 from cloudtomo_cl.files.measurements import read_measurements
-from cloudtomo_cl.inversion.pixels import seen_pixels
+from cloudtomo_cl.inversion.pixels import active_pixels
 from cloudtomo_cl.inversion.stages import Stage, automatic_stages
 from cloudtomo_cl.report.plots import (
     RADIANCE_LABEL,
@@ -106,10 +106,10 @@ def plot_stages(figure: Figure, run: Run) -> None:
         voxels.append(mask.size)
         sought.append(mask.sum())
         pixels.append(sum(image.size for image in images.images))
-        seen.append(len(seen_pixels(images, run.grid.with_shape(stage.grid), mask).pixels))
+        seen.append(len(active_pixels(images, run.grid.with_shape(stage.grid), mask)))
         of_stage = run.history["stage"] == index
-        before = run.history["photons"][run.history["stage"] < index]
-        paths.append(run.history["photons"][of_stage][-1] - (before[-1] if len(before) else 0))
+        before = run.history["paths"][run.history["stage"] < index]
+        paths.append(run.history["paths"][of_stage][-1] - (before[-1] if len(before) else 0))
         each.append(paths[-1] / of_stage.sum() / seen[-1])
     panels = (
         ("voxels", {"of the grid": voxels, "sought": sought}),
@@ -264,7 +264,7 @@ def draw(output: Path) -> None:
             "eps": epsilon(run.extinction, truth),
             "delta": delta(run.extinction, truth),
             "seconds": float(run.history["seconds"][-1]),
-            "paths": float(run.history["photons"][-1]),
+            "paths": float(run.history["paths"][-1]),
         }
         if (run.folder / "unseen.nc").is_file():
             views = (read_measurements(folder / "unseen.nc") for folder in (output, run.folder))

@@ -1,5 +1,5 @@
 /* I3RC's step cloud once more, by nothing that the package uses: forward photons, Woodcock tracking,
- * double precision, local estimates straight up and down. For docs/validation.md.
+ * double precision, local estimates straight up and down. For docs/decisions/i3rc-tolerance.md.
  *
  *   cc -O3 -o step_cloud scripts/step_cloud_woodcock.c -lm
  *   ./step_cloud 1e7 7 0.5 1       photons, seed, cosine of the sun's zenith angle, single-scattering albedo

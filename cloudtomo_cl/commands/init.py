@@ -91,7 +91,7 @@ _RUN = """\
 # Lines that begin with # are comments: what is optional is there with its default.
 
 [measurements]
-file = {measurements}             # beside this file; `cloudtomo render` makes it, docs/howto.md tells the format
+file = {measurements}             # beside this file; by `cloudtomo render`; format: docs/how-to/measurements.md
 
 {truth}
 """

@@ -234,9 +234,9 @@ def execute(job: Job) -> Outcome:
 
 def _say_what_begins(job: Job) -> None:
     measurements, resumed = job.measurements, job.resumed
-    if measurements.bad_pixels:
-        share = measurements.bad_pixels / sum(image.size for image in measurements.images)
-        job.say(f"{measurements.bad_pixels} bad pixels ({share:.2%}) are not used")
+    if measurements.invalid_pixels:
+        share = measurements.invalid_pixels / sum(image.size for image in measurements.images)
+        job.say(f"{measurements.invalid_pixels} invalid pixels ({share:.2%}) are not used")
     if resumed is None:
         if job.request.resume:
             job.say(f"{job.request.output} has no checkpoint: starting from the beginning")

@@ -127,7 +127,7 @@ def execute(job: Job) -> Result:
         with progress.rendering(job.console, job.samples) as show:
             rendering = job.operator.render(job.extinction, job.samples, job.seed, job.iteration, progress=show)
     else:
-        most = {} if job.samples is None else {"most_photons": float(job.samples) * len(job.operator.pixels)}
+        most = {} if job.samples is None else {"most_paths": float(job.samples) * len(job.operator.pixels)}
         with progress.rendering(job.console, 100, "%") as show:
             rendering = render_to_error(
                 job.operator,

@@ -85,7 +85,7 @@ def measurements_dataset(
     """Images with the views that they were taken from.
 
     Variables: `radiance` and `radiance_standard_error` (view, row, column), W m-2 sr-1, padded
-    with NaN to the largest image, and NaN in bad pixels, with `image_height` and `image_width` (view); `view_type`
+    with NaN to the largest image, and NaN in invalid pixels, with `image_height` and `image_width` (view); `view_type`
     and every field of the views (view) or (view, axis), NaN where a view has no such field. Views
     that are lists of rays have `ray_origin` and `ray_direction` (ray, axis), the rays of all of
     them one after the other.

@@ -12,6 +12,7 @@ import numpy as np
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
@@ -43,16 +44,17 @@ def carved_mask(
     return carve(scene.grid, measurements, Measurements.rendered(operator, cloud_free))
 
 
+@renamed_arguments(clear="cloud_free")
 def cloudy_pixels(
     measurements: Measurements,
-    clear: Measurements,
+    cloud_free: Measurements,
     contrast: float = 0.02,
     significance: float = 2.0,
     grid: Grid | None = None,
 ) -> tuple[np.ndarray, ...]:
     """Which pixels of every image may show cloud.
 
-    A pixel is clear only if the images are able to say so: its difference from the clear image
+    A pixel is clear only if the images are able to say so: its difference from the cloud-free image
     plus `significance` standard errors must lie within a tolerance. So a pixel too noisy to
     tell counts as cloudy, which matters over bright ground, where parts of a cloud are as
     bright as the ground. The difference counts in both directions, since a cloud is brighter
@@ -65,11 +67,11 @@ def cloudy_pixels(
     of the largest among the images, so that a view of hardly any cloud is not judged by its noise.
     Gaps of a pixel or two and holes are then closed: where the brightness of a cloud's image
     passes through that of the ground, the cloud goes on. (Not in lists of rays, whose pixels
-    have no neighbours.) Bad pixels, which are NaN, cannot say anything: they count as cloudy.
+    have no neighbours.) Invalid pixels, which are NaN, cannot say anything: they count as cloudy.
 
     Parameters
     ----------
-    measurements, clear : images of the same views with and without cloud, W m^-2 sr^-1
+    measurements, cloud_free : images of the same views with and without cloud, W m^-2 sr^-1
     contrast : the least difference that counts, relative to the image's scale
     significance : standard errors of the difference; 0 trusts every pixel
     grid : of the domain, if pixels that do not look at it are to count as clear
@@ -82,12 +84,12 @@ def cloudy_pixels(
     ------
     DataError : the views of the two differ; contrast or significance is negative
     """
-    if clear.views != measurements.views:
-        raise DataError("clear images are not of the measurements' views: render them with the same views and pixels")
+    if cloud_free.views != measurements.views:
+        raise DataError("the cloud-free images are not of the measurements' views: render them with the same ones")
     if not (contrast >= 0 and significance >= 0):
         raise DataError(f"contrast is {contrast} and significance {significance}: neither may be negative")
-    differences = [np.abs(image - ground) for image, ground in zip(measurements.images, clear.images)]
-    errors = [np.hypot(*pair) for pair in zip(measurements.standard_errors, clear.standard_errors)]
+    differences = [np.abs(image - ground) for image, ground in zip(measurements.images, cloud_free.images)]
+    errors = [np.hypot(*pair) for pair in zip(measurements.standard_errors, cloud_free.standard_errors)]
     gains = zip(errors, measurements.images, measurements.calibration_errors)
     errors = [np.hypot(error, image * gain) if gain else error for error, image, gain in gains]
     scales = np.array([np.nanpercentile(difference, _SCALE_PERCENTILE) for difference in differences])
@@ -101,7 +103,7 @@ def cloudy_pixels(
         if grid is not None:
             meets = pixels_that_meet(view, grid)
             differs, bad = differs & meets, bad & meets
-        # Bad pixels open no way to their neighbours.
+        # Invalid pixels open no way to their neighbours.
         cloudy.append((differs if isinstance(view, RayView) else _filled(differs)) | bad)
     return tuple(cloudy)
 
@@ -115,10 +117,11 @@ def _filled(pixels: np.ndarray) -> np.ndarray:
     return ndimage.binary_fill_holes(pixels | closed)
 
 
+@renamed_arguments(clear="cloud_free")
 def carve(
     grid: Grid,
     measurements: Measurements,
-    clear: Measurements,
+    cloud_free: Measurements,
     contrast: float = 0.02,
     significance: float = 2.0,
 ) -> np.ndarray:
@@ -136,7 +139,7 @@ def carve(
     ----------
     grid : of the domain
     measurements : images, their standard errors and views
-    clear : the same images without cloud, for instance rendered from an extinction of zeros
+    cloud_free : the same images without cloud, for instance rendered from an extinction of zeros
         under the same sun, with the same surface and air; with samples enough that they are
         less noisy than the measurements
     contrast, significance : see `cloudy_pixels`
@@ -149,7 +152,7 @@ def carve(
     ------
     DataError : as `cloudy_pixels`
     """
-    cloudy = cloudy_pixels(measurements, clear, contrast, significance, grid)
+    cloudy = cloudy_pixels(measurements, cloud_free, contrast, significance, grid)
     mask = np.ones(grid.shape, dtype=bool)
     for view, pixels in zip(measurements.views, cloudy):
         if isinstance(view, RayView):

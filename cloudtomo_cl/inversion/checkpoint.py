@@ -1,7 +1,7 @@
 """Checkpoints: all that a reconstruction needs to go on as if it had never been stopped.
 
 Random numbers need no state: they are a function of seed, iteration, view, pixel and sample
-(docs/sampling.md). What is kept: the descent's extinction, mean and moments, the remembered
+(docs/reference/random-numbers.md). What is kept: the descent's extinction, mean and moments, the remembered
 images, stage, iteration and history; and what the run is a run of, so that it is not gone on
 with under other settings.
 """
@@ -15,10 +15,10 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import TypeAdapter
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.whole import written_whole
@@ -87,9 +87,26 @@ class Checkpoint:
         DataError : the file cannot be written
         """
         header = {name: value for name, value in vars(self).items() if name != "state"}
-        text = json.dumps({"format": FORMAT, **header}).encode()
+        digests = {name: _digest(array) for name, array in self.state.items()}
+        text = json.dumps({"format": FORMAT, "digests": digests, **header}).encode()
         with written_whole(path) as partial, open(partial, "wb") as file:
             np.savez(file, header=np.frombuffer(text, np.uint8), **self.state)  # type: ignore[arg-type]  # no array is named allow_pickle
+
+
+class _Header(BaseModel):
+    """What a file holds beside arrays: numbers are in their ranges."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    format: int
+    digests: dict[str, str]
+    identity: dict[str, Any]
+    device: str
+    stage: Annotated[int, Field(ge=0)]
+    iterations: Annotated[int, Field(ge=0)]
+    seconds: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    stage_ends: list[float]
+    history: list[dict[str, Any]]
 
 
 def read_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
@@ -105,15 +122,31 @@ def read_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
     try:
         with np.load(path, allow_pickle=False) as file:
             state = {name: file[name] for name in file.files}
-        header = json.loads(bytes(state.pop("header")))
-        found = header.pop("format")
-        checkpoint = Checkpoint(**header, state=state) if found == FORMAT else None
+        text = bytes(state.pop("header"))
+        found = json.loads(text)["format"]
+        checkpoint = _checked(text, state) if found == FORMAT else None
     except Exception as error:  # what a damaged file may raise has no end
+        if isinstance(error, ValidationError):
+            first = error.errors()[0]
+            error = ValueError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}")
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise DataError(f"{path}: is no checkpoint, or damaged or cut short ({reason}): start a new run") from None
     if checkpoint is None:
         raise DataError(f"{path}: has format {found}, this version reads {FORMAT}: go on with the version that made it")
     return checkpoint
+
+
+def _checked(text: bytes, state: dict[str, np.ndarray]) -> Checkpoint:
+    """What a header and arrays make, if they belong together; ValueError if not."""
+    header = _Header.model_validate_json(text)
+    digests = header.digests
+    wrong = [name for name in {*digests, *state} if name not in state or digests.get(name) != _digest(state[name])]
+    if wrong or "mask" not in state:
+        raise ValueError(f"{', '.join(sorted(wrong)) or 'mask'} is missing or not what was written")
+    done = sum(row.get("stage") == header.stage for row in header.history)
+    if done != header.iterations:
+        raise ValueError(f"its history has {done} iterations of stage {header.stage}, it says {header.iterations}")
+    return Checkpoint(**header.model_dump(exclude={"format", "digests"}), state=state)
 
 
 def identity_of(

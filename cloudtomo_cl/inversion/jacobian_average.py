@@ -8,7 +8,7 @@ import numpy as np
 
 from cloudtomo_cl.inversion.linear_model import Jacobian
 from cloudtomo_cl.inversion.problem import Problem
-from cloudtomo_cl.transport.derivatives import RadianceField
+from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.radiance import Rendering
 
 
@@ -22,7 +22,7 @@ class JacobianAverage:
     """
 
     def __init__(self, problem: Problem, rate: Callable[[int], float]) -> None:
-        self._table = RadianceField(problem.operator)
+        self._table = RadianceTable(problem.operator)
         self._rate = rate
         self._values: np.ndarray | None = None
         self._iterations = 0
@@ -36,7 +36,7 @@ class JacobianAverage:
     def add(self, problem: Problem, extinction: np.ndarray, seed: int, stream: int) -> Rendering:
         """Renders an extinction, km^-1, shape (voxels,), and averages its derivatives in; returns the rendering."""
         samples = problem.samples or problem.default_samples
-        rendering = problem.operator.render(problem.on_grid(extinction), samples, seed, stream, keep_paths=True)
+        rendering = problem.operator.render(problem.on_grid(extinction), samples, seed, stream, store_paths=True)
         self._values = self._table.jacobian(rendering, self._values, self._rate(self._iterations))
         self._iterations += 1
         return rendering

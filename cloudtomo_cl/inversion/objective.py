@@ -8,7 +8,7 @@ import numpy as np
 
 # Relative variance, in typical ones, beyond which a pixel's weight follows it. Below, the modelled image's noise
 # counts as much; and standard errors come from the same samples as radiances: weights that follow them closely
-# favour pixels that are dark by chance (docs/estimators.md).
+# favour pixels that are dark by chance (docs/decisions/pixel-weights.md).
 _NOISY = 4.0
 # Standard error, in shares of m + m_rms, where none is known: that of a good camera.
 _UNKNOWN_ERROR = 0.01

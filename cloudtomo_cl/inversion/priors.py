@@ -20,7 +20,7 @@ SMOOTHNESS_CURVATURE = 27 / 26
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Prior:
-    """R = N (smoothness / 2 ||A b||^2 + monotonicity R_mon) + n sparsity R_clear, b the extinction in km^-1.
+    """R = N (smoothness / 2 ||A b||^2 + monotonicity R_mon) + n sparsity R_sparsity, b the extinction in km^-1.
 
     n is the data term's unit, the mean over pixels of the weighted variances of the measured images' noise; N has
     the modelled images' noise in it, too, and falls during a run. So the weights say what clouds are like, and follow
@@ -28,10 +28,10 @@ class Prior:
 
     A is the mean of a voxel's 26 neighbours minus itself; R_mon = -sum tanh(c1 Dz b) tanh(c2 b)
     over voxels with b > threshold, Dz the central difference along z from voxel to voxel.
-    Source: the supplement's Eqs. 20-23, with the gradient corrected (docs/estimators.md), and
+    Source: the supplement's Eqs. 20-23, with the gradient corrected (docs/explanation/derivatives.md), and
     the constants of the paper's released code.
 
-    R_clear = sum b / (b + clear). It is ours: every voxel that holds cloud costs as much as its one
+    R_sparsity = sum b / (b + b0). It is ours: every voxel that holds cloud costs as much as its one
     parameter would fit of the noise (Akaike 1974's criterion, made smooth as by Geman and McClure 1985),
     so that what the images leave open stays clear.
 
@@ -42,7 +42,7 @@ class Prior:
     c1, c2 : km
     threshold : km^-1
     sparsity : 1 for the criterion above, 0 for none
-    clear : km^-1, the extinction at which half of the cost is due
+    sparsity_scale : b0, km^-1, the extinction at which half of the cost is due
     """
 
     smoothness: NotNegative = 0.02
@@ -51,7 +51,7 @@ class Prior:
     c2: Positive = 0.05
     threshold: Annotated[float, Field(ge=0)] = 0.01
     sparsity: NotNegative = 1.0
-    clear: Positive = 3.0
+    sparsity_scale: Positive = 3.0
 
 
 @runtime_checkable
@@ -164,7 +164,8 @@ class DevicePrior:
 
     def curvature(self, extinction: np.ndarray, units: NoiseUnits) -> float:
         prior = self._prior
-        return self.smoothness(units) * SMOOTHNESS_CURVATURE + units.measured * (prior.sparsity / prior.clear**2)
+        of_sparsity = units.measured * (prior.sparsity / prior.sparsity_scale**2)
+        return self.smoothness(units) * SMOOTHNESS_CURVATURE + of_sparsity
 
     def smoothness(self, units: NoiseUnits) -> float:
         return units.weighted * self._prior.smoothness
@@ -176,7 +177,6 @@ class PriorOperator:
     @device_errors("the prior")
     def __init__(self, prior: Prior, shape: tuple[int, int, int], device: Device) -> None:
         import pyopencl.array as cl_array
-        from pyopencl import cltypes
 
         self.prior = prior
         self.device = device
@@ -189,10 +189,9 @@ class PriorOperator:
         self._smooth, self._work, self._value, self._outer, self._inner = (
             cl_array.zeros(device.queue, shape, np.float32) for _ in range(5)
         )
-        self._shape = cltypes.make_int3(*shape)  # type: ignore[attr-defined]  # made when pyopencl is imported
 
-    def _launch(self, name: str, *arguments: Any) -> None:
-        self.device.launch(self._kernels[name], int(np.prod(self.shape)), *arguments)
+    def _launch(self, name: str, *arguments: Any, **named: Any) -> None:
+        self.device.launch(self._kernels[name], int(np.prod(self.shape)), *arguments, **named)
 
     @device_errors("the prior")
     def value_and_gradient(self, extinction: Any, weight: float = 1.0, noise: float = 0.0) -> tuple[float, Any]:
@@ -201,34 +200,33 @@ class PriorOperator:
         weight : N, factor of smoothness and monotonicity
         noise : n, factor of the sparsity
         """
-        prior, shape = self.prior, self._shape
-        self._launch("laplacian", extinction.data, shape, self._work.data)
-        self._launch("laplacian", self._work.data, shape, self._smooth.data)
+        prior, shape = self.prior, self.shape
+        self._launch("laplacian", extinction, shape, self._work)
+        self._launch("laplacian", self._work, shape, self._smooth)
         self._launch(
             "monotonicity_terms",
-            extinction.data,
-            shape,
-            *(np.float32(c) for c in (prior.c1, prior.c2, prior.threshold)),
-            *(a.data for a in (self._value, self._outer, self._inner)),
-        )
+            extinction, shape, prior.c1, prior.c2, prior.threshold, self._value, self._outer, self._inner,
+        )  # fmt: skip
         gradient = self._cl_array.empty_like(extinction)
         self._launch(
             "prior_gradient",
-            *(a.data for a in (self._smooth, self._outer, self._inner)),
-            shape,
-            np.float32(weight * prior.smoothness),
-            np.float32(weight * prior.monotonicity),
-            extinction.data,
-            np.float32(noise * prior.sparsity),
-            np.float32(prior.clear),
-            gradient.data,
+            smooth=self._smooth,
+            outer=self._outer,
+            inner=self._inner,
+            shape=shape,
+            smoothness=weight * prior.smoothness,
+            monotonicity=weight * prior.monotonicity,
+            extinction=extinction,
+            sparsity=noise * prior.sparsity,
+            sparsity_scale=prior.sparsity_scale,
+            gradient=gradient,
         )
         smooth = np.square(self._work.get(), dtype=np.float64).sum()
         monotone = self._value.get().sum(dtype=np.float64)
         value = weight * (prior.smoothness / 2 * smooth + prior.monotonicity * monotone)
         if noise * prior.sparsity > 0:
             b = extinction.get().astype(float)
-            value += noise * prior.sparsity * float(np.sum(b / (b + prior.clear)))
+            value += noise * prior.sparsity * float(np.sum(b / (b + prior.sparsity_scale)))
         return float(value), gradient
 
     def of_array(self, extinction: np.ndarray, weight: float, noise: float) -> tuple[float, np.ndarray]:

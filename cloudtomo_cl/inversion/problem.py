@@ -18,7 +18,7 @@ from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
 from cloudtomo_cl.scene.grid import Grid, coarsened
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
-from cloudtomo_cl.transport.derivatives import RadianceField
+from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
 if TYPE_CHECKING:
@@ -150,9 +150,9 @@ class Problem:
 
         x = self._checked(x)
         rendering = self.operator.render(
-            self.on_grid(x), samples or self.samples or self.default_samples, seed, stream, keep_paths=True
+            self.on_grid(x), samples or self.samples or self.default_samples, seed, stream, store_paths=True
         )
-        jacobian = Jacobian(RadianceField(self.operator).jacobian(rendering))
+        jacobian = Jacobian(RadianceTable(self.operator).jacobian(rendering))
         return LinearModel(x.copy(), rendering.mean, rendering.standard_error**2, jacobian, rendering)
 
     @device_errors("the cost and its gradient")
@@ -166,11 +166,11 @@ class Problem:
         """
         x = self._checked(x)
         count = samples or self.samples or self.default_samples
-        rendering = self.operator.render(self.on_grid(x), count, seed, stream, keep_paths=True)
+        rendering = self.operator.render(self.on_grid(x), count, seed, stream, store_paths=True)
         image = AveragedImage.empty(len(self.active))
         data = (rendering.halves, self.radiance, self.weights, self.active.gains)
         value, _ = image.cost(*data)
-        gradient, _ = RadianceField(self.operator).gradient(rendering, image.adjoint(*data), self._nothing())
+        gradient, _ = RadianceTable(self.operator).gradient(rendering, image.adjoint(*data), self._nothing())
         of_prior, prior_gradient = self.prior.value_and_gradient(x, self.units())
         return value + of_prior, gradient.get()[self.mask].astype(float) + prior_gradient
 

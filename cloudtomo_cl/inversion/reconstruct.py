@@ -16,7 +16,6 @@ from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, identity_
 from cloudtomo_cl.inversion.priors import Prior, Regulariser
 from cloudtomo_cl.inversion.problem import Problem, checked_mask
 from cloudtomo_cl.inversion.records import IterationRecord, Reconstruction
-from cloudtomo_cl.inversion.renamed import refuse_old_names
 from cloudtomo_cl.inversion.run import (
     LARGEST_VOXEL_DEPTH,
     KeepCheckpoints,
@@ -36,6 +35,7 @@ from cloudtomo_cl.inversion.stages import Stage, stages_of
 from cloudtomo_cl.memory import shape_text
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
+from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Grid, resample_in_mask
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
@@ -70,6 +70,7 @@ class _Question:
         )
 
 
+@renamed_arguments(optimizer="solver: a GaussNewton, Adam or SGD, whose arguments were those of Optimizer")
 def reconstruct(
     scene: Scene,
     measurements: Measurements,
@@ -88,7 +89,6 @@ def reconstruct(
     resume: str | os.PathLike[str] | Checkpoint | None = None,
     stop: Callable[[], bool] | None = None,
     uncertainty: int = 0,
-    **old: Any,
 ) -> Reconstruction:
     """Recovers extinction from images.
 
@@ -121,7 +121,6 @@ def reconstruct(
     TransportError : a radiance, a gradient or an extinction is not finite, or diverged
     DeviceError : the device failed or has not enough memory
     """
-    refuse_old_names("reconstruct", old)
     device, prior, solver = device or choose_device(), prior or Prior(), solver or GaussNewton()
     stages = stages_of(scene.grid, stages, solver)
     resumed = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cloudtomo_cl.renamed import renamed_attributes
 from cloudtomo_cl.scene.grid import Grid
 
 
+@renamed_attributes(photons="paths")
 @dataclass(frozen=True)
 class IterationRecord:
     """What one iteration did; a line of the history.
@@ -45,8 +47,8 @@ class Reconstruction:
     mask : bool, where extinction was sought
     history : one record per iteration
     stage_ends : seconds since the start of the run
-    standard_error : of the extinction, km^-1, float32, shape of the grid (docs/estimators.md says of what); none
-        if it was not asked for, or is not known
+    standard_error : of the extinction, km^-1, float32, shape of the grid (docs/explanation/uncertainty.md says of
+        what); none if it was not asked for, or is not known
     timed_out : whether its time limit ended it
     """
 

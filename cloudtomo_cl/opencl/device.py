@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.errors import BuildError, DeviceError
+from cloudtomo_cl.opencl.parameters import KERNELS, Kernel
 
 ENVIRONMENT_VARIABLE = "CLOUDTOMO_DEVICE"
 WORK_GROUP_SIZE = 64
@@ -223,7 +224,7 @@ class Device:
         return self._programs[source]
 
     def kernel(self, file: str, name: str, features: tuple[str, ...] = ()) -> Any:
-        """A kernel of a shipped file, for instance kernel("render", "render_paths").
+        """A kernel of a shipped file, for instance kernel("image", "render_paths"); parameters.py has its parameters.
 
         features : macros that compile in what only some scenes need, for instance
             ("CLOUDTOMO_PHASE_TABLE",)
@@ -233,7 +234,7 @@ class Device:
             source = "".join(f"#define {feature}\n" for feature in features) + f'#include "{file}.cl"\n'
             program = self.build(source)
             with device_errors(f"making the kernel {name}"):
-                self._kernels[file, name, features] = cl.Kernel(program, name)
+                self._kernels[file, name, features] = Kernel(cl.Kernel(program, name), name, KERNELS[name])
         return self._kernels[file, name, features]
 
     def constant(self, values: np.ndarray) -> Any:
@@ -242,11 +243,11 @@ class Device:
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
         return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values))
 
-    def launch(self, kernel: Any, work_items: int, *arguments: Any) -> None:
+    def launch(self, kernel: Any, work_items: int, *arguments: Any, **named: Any) -> None:
         """Runs a kernel on at least `work_items` work items (kernels skip the rest)."""
         groups = -(-work_items // WORK_GROUP_SIZE)
         with device_errors(f"device {self.name}: launching {kernel.function_name}"):
-            kernel(self.queue, (groups * WORK_GROUP_SIZE,), (WORK_GROUP_SIZE,), *arguments)
+            kernel(self.queue, (groups * WORK_GROUP_SIZE,), (WORK_GROUP_SIZE,), *arguments, **named)
 
 
 class Pace:
@@ -261,10 +262,10 @@ class Pace:
         self.device = device
         self.work_items = _FIRST_LAUNCH
 
-    def launch(self, kernel: Any, work_items: int, *arguments: Any) -> None:
+    def launch(self, kernel: Any, work_items: int, *arguments: Any, **named: Any) -> None:
         """Runs a kernel to its end, and learns from the time it took."""
         start = time.perf_counter()
-        self.device.launch(kernel, work_items, *arguments)
+        self.device.launch(kernel, work_items, *arguments, **named)
         self.device.queue.finish()
         wanted = work_items / max(time.perf_counter() - start, 1e-6) * _LAUNCH_SECONDS
         self.work_items = int(min(max(wanted, self.work_items // 2), 2 * self.work_items, _LARGEST_LAUNCH))

@@ -1,4 +1,4 @@
-"""The sums that kernels make in fixed point (kernels/accumulate.h), as the host finds them."""
+"""The sums that kernels make in fixed point (kernels/walk/accumulate.h), as the host finds them."""
 
 from __future__ import annotations
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from cloudtomo_cl.opencl.parameters import macros
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.phase import DoubleHenyeyGreenstein, TabulatedPhaseFunction
 from cloudtomo_cl.scene.scene import Scene
@@ -33,8 +34,8 @@ STRUCTS: dict[str, np.dtype] = {
             ("surface_albedo", np.float32),
             ("side_flights", np.int32),  # 0: the plain local estimate
             ("truncation", np.float32),  # largest local estimate, sr^-1
-            ("skips_clear", np.int32),  # whether walks skip blocks that hold nothing
-            ("clear_shift", np.int32),  # those have 2^clear_shift voxels along each axis
+            ("skips_empty", np.int32),  # whether walks skip blocks that hold nothing
+            ("empty_shift", np.int32),  # those have 2^empty_shift voxels along each axis
         ]
     ),
     "View": np.dtype(
@@ -57,15 +58,15 @@ STRUCTS: dict[str, np.dtype] = {
 }
 
 # Where the weight of a path ends. KILLED_VARIANCE and TRUNCATED (radiance, sr^-1) stand beside the balance.
-FATES = (
+TERMINATIONS = (
     "TOP", "BOTTOM", "SIDES", "MISSED", "ABSORBED", "SURFACE", "KILLED", "LOST",
     "LAUNCHED", "KILLED_VARIANCE", "TRUNCATED",
 )  # fmt: skip
 # What photons leave behind in the columns of the grid.
 FLUXES = ("REFLECTED", "DIRECT", "DIFFUSE", "ABSORBED")
 WEIGHT_UNIT = 2.0**24
-ACCOUNT_COPIES = 64
-FIELD_UNIT = 2.0**30
+BUDGET_COPIES = 64
+TABLE_UNIT = 2.0**30
 # Paths of a pixel: kernels number them with unsigned integers of 32 bits.
 MOST_SAMPLES = 2**32 - 1
 # Sums in fixed point that leave this range on either side have overflowed: fixed_point.py.
@@ -76,12 +77,12 @@ def _constants() -> str:
     """The names that both sides share, in OpenCL C."""
     lines = [
         f"typedef enum {{ {', '.join(f'{kind.upper()}_{name}' for name in names)} }} {kind};"
-        for kind, names in (("Fate", FATES), ("Flux", FLUXES))
+        for kind, names in (("Termination", TERMINATIONS), ("Flux", FLUXES))
     ]
-    lines.append(f"#define FATES {len(FATES)}")
+    lines.append(f"#define TERMINATIONS {len(TERMINATIONS)}")
     lines.append(f"#define WEIGHT_UNIT {WEIGHT_UNIT:.1f}f")
-    lines.append(f"#define ACCOUNT_COPIES {ACCOUNT_COPIES}")
-    lines.append(f"#define FIELD_UNIT {FIELD_UNIT:.1f}f")
+    lines.append(f"#define BUDGET_COPIES {BUDGET_COPIES}")
+    lines.append(f"#define TABLE_UNIT {TABLE_UNIT:.1f}f")
     lines.append(f"#define LARGEST_SUM {LARGEST_SUM}ul")
     return "\n".join(lines)
 
@@ -97,6 +98,7 @@ def declarations(device: Any) -> str:
         if matched != dtype:
             raise AssertionError(f"struct {name}: the device pads it to {matched}")
         parts.append(declaration)
+    parts.append(macros())
     return "\n".join(parts)
 
 
@@ -104,8 +106,8 @@ def scene_struct(
     scene: Scene,
     side_flights: bool = False,
     truncation: float = np.inf,
-    skips_clear: bool = False,
-    clear_shift: int = 0,
+    skips_empty: bool = False,
+    empty_shift: int = 0,
 ) -> np.ndarray:
     """The kernels' Scene, shape (); truncation in sr^-1."""
     struct = np.zeros((), STRUCTS["Scene"])
@@ -131,8 +133,8 @@ def scene_struct(
     struct["surface_albedo"] = scene.surface.albedo
     struct["side_flights"] = side_flights
     struct["truncation"] = truncation
-    struct["skips_clear"] = skips_clear
-    struct["clear_shift"] = clear_shift
+    struct["skips_empty"] = skips_empty
+    struct["empty_shift"] = empty_shift
     return struct
 
 

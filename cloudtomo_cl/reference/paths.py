@@ -1,7 +1,7 @@
 """A slow, plain transport and gradient in double precision, to check the fast ones by.
 
 Everything here is written from the equations, one path at a time, with no thought of speed.
-It draws the random numbers of docs/sampling.md, as the kernels do, so that a path of the
+It draws the random numbers of docs/reference/random-numbers.md, as the kernels do, so that a path of the
 kernels and its path here are the same one up to rounding.
 
 In the order of reading: rays, flights, paths; random numbers and scattering have files of their own. Lengths are
@@ -33,7 +33,7 @@ from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import Air, Scene
 from cloudtomo_cl.scene.sensors import View
 
-# docs/sampling.md gives the meaning of these numbers.
+# docs/reference/random-numbers.md gives the meaning of these numbers.
 BLOCKS_PER_EVENT = 64
 SUN_VIEW = 2**32 - 1
 PATH_ROULETTE_WEIGHT = 0.1
@@ -315,7 +315,7 @@ def side_flights(
     before: np.ndarray, particle: Particle, weight: float, count: float, history: np.ndarray, number: int,
     random: Iterator[np.ndarray], truncation: float = np.inf,
 ) -> Iterator[Contribution]:
-    """The next order's sunlight by `number` flights drawn around the sun (docs/sampling.md).
+    """The next order's sunlight by `number` flights drawn around the sun (docs/reference/random-numbers.md).
 
     They share the estimate with the path's own next flight by the balance heuristic
     (Veach and Guibas 1995); `count` is the mean of `number`.
@@ -379,7 +379,7 @@ def walk(
     leave : called with event number, flight, direction and weight wherever the path leaves all that
         scatters, also on its way to the surface
 
-    Source: docs/sampling.md.
+    Source: docs/reference/random-numbers.md.
     """
     history, weight, number = np.zeros(scene.grid.shape), 1.0, 0
     while True:
@@ -425,7 +425,7 @@ def path(
     effective_radius : micrometres, shape of the grid; by default the scene's
     truncation : of every contribution, sr^-1
 
-    Source: Eqs. 1-4, 12, 16; the random numbers are laid out as in docs/sampling.md.
+    Source: Eqs. 1-4, 12, 16; the random numbers are laid out as in docs/reference/random-numbers.md.
     """
 
     def block(number: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Random numbers as the kernels draw them: docs/sampling.md gives their meaning."""
+"""Random numbers as the kernels draw them: docs/reference/random-numbers.md gives their meaning."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Scattering in double precision, to check the kernels by: densities, and directions drawn from them.
 
-Directions are unit vectors, shape (3,); densities are over the sphere, sr^-1. docs/sampling.md says
+Directions are unit vectors, shape (3,); densities are over the sphere, sr^-1. docs/reference/random-numbers.md says
 which uniform number draws what.
 """
 

@@ -264,7 +264,7 @@ def radiance_limit(measurements: Measurements) -> float:
 
 
 def _grey() -> Any:
-    """Black to white, and bad pixels in a colour of their own."""
+    """Black to white, and invalid pixels in a colour of their own."""
     from matplotlib import colormaps
 
     return colormaps["gray"].with_extremes(bad="tab:blue")

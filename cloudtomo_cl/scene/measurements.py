@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.renamed import renamed_attributes
 from cloudtomo_cl.scene.grid import resample
 from cloudtomo_cl.scene.sensors import RayView, View
 
@@ -24,6 +25,7 @@ class _Renders(Protocol):
     def images(self, values: np.ndarray, /) -> list[np.ndarray]: ...
 
 
+@renamed_attributes(bad_pixels="invalid_pixels")
 @dataclass(frozen=True)
 class Measurements:
     """Images of one cloud.
@@ -31,8 +33,8 @@ class Measurements:
     Attributes
     ----------
     views : one per image
-    images : radiance, W m^-2 sr^-1, each of shape (rows, columns) of its view; NaN in bad pixels, which nothing uses
-    standard_errors : of the radiances, same unit and shapes; zero where unknown; of no meaning in bad pixels
+    images : radiance, W m^-2 sr^-1, each of shape (rows, columns) of its view; NaN in invalid pixels
+    standard_errors : of the radiances, same unit and shapes; zero where unknown; of no meaning in invalid pixels
     calibration_errors : standard errors of the views' gains, which are 1, for instance 0.02; none: all exact.
         They are no part of `standard_errors`, for they are common to all pixels of a view
     """
@@ -65,7 +67,7 @@ class Measurements:
                 if wrong.any():
                     row, column = np.argwhere(wrong)[0]
                     where = f"view {index} are not finite at row {row}, column {column}"
-                    hint = "" if name == "standard_errors" else ": set the radiance of bad pixels to NaN"
+                    hint = "" if name == "standard_errors" else ": set the radiance of invalid pixels to NaN"
                     raise DataError(f"measurements: {name} of {where}{hint}")
                 if bad.all():
                     raise DataError(f"measurements: all pixels of view {index} are bad: leave the view out")
@@ -86,7 +88,7 @@ class Measurements:
         least = min((float(np.nanmin(image)) for image in self.images), default=np.nan)
         most = max((float(np.nanmax(image)) for image in self.images), default=np.nan)
         radiances = f"radiance {least:.4g} to {most:.4g} W m^-2 sr^-1"
-        bad = self.bad_pixels
+        bad = self.invalid_pixels
         return f"Measurements({len(self.views)} views of {pixels} pixels, {radiances}{f', {bad} bad' if bad else ''})"
 
     @property
@@ -95,7 +97,7 @@ class Measurements:
         return tuple(~np.isnan(image) for image in self.images)
 
     @property
-    def bad_pixels(self) -> int:
+    def invalid_pixels(self) -> int:
         """How many pixels of all images are bad."""
         return sum(int(np.isnan(image).sum()) for image in self.images)
 

@@ -59,7 +59,7 @@ class Noise:
         """The same images as such a camera measures them.
 
         The standard errors are those of the images as they are, and of the noise at their radiance, together; the
-        calibration error, which all pixels of a view share, goes to `calibration_errors`. Bad pixels stay bad.
+        calibration error, which all pixels of a view share, goes to `calibration_errors`. Invalid pixels stay bad.
 
         seed : of the noise; equal seeds give equal noise
 

@@ -79,7 +79,7 @@ _STANDARD_LEVELS = tuple(float(level) for level in (*range(0, 20), *range(20, 51
 class Air:
     """Molecules; they scatter after Rayleigh.
 
-    Without levels they are inside the grid only, as in the source. With levels they lie in
+    Without levels they are inside the grid only, as in the paper. With levels they lie in
     layers that go on horizontally for ever: below, beside (if sides are open) and above the grid.
 
     Attributes

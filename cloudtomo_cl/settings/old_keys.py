@@ -31,5 +31,7 @@ def refuse_old_keys(path: Path, tables: Mapping[str, Any]) -> None:
         lines += [f"{table}.{old} is now solver.{new}" for old, new in _SOLVER_KEYS.items() if old in given]
         if given.get("gradient") == "field":
             lines.append(f'{table}.gradient "field" is now solver.gradient "adjoint"')
+    if isinstance(tables.get("prior"), Mapping) and "clear" in tables["prior"]:
+        lines.append("prior.clear is now prior.sparsity_scale")
     if lines:
         raise SettingsError("\n".join(f"{path}: {line}" for line in lines))

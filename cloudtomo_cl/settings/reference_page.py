@@ -1,4 +1,4 @@
-"""The reference of every settings key, made from the classes that check them: docs/settings.md.
+"""The reference of every settings key, made from the classes that check them: docs/reference/settings.md.
 
 The meaning is what the class's docstring says under Attributes, the allowed values and the default come from the
 schema that settings files are checked with. So the page cannot say anything else than the code does.
@@ -37,7 +37,7 @@ _FILES: tuple[tuple[type[BaseModel], str, str], ...] = (
 
 
 def page() -> str:
-    """docs/settings.md."""
+    """docs/reference/settings.md."""
     parts = [INTRODUCTION]
     shown: set[type] = set()
     for model, title, _ in _FILES:

@@ -45,7 +45,7 @@ def render_to_error(
     extinction: Any,
     target_error: float,
     seed: int = 0,
-    most_photons: float = 1e10,
+    most_paths: float = 1e10,
     progress: Callable[[float], None] | None = None,
 ) -> Rendering:
     """Renders until every view's `relative_error` is at most a target, with as few paths as that takes.
@@ -62,7 +62,7 @@ def render_to_error(
     extinction : as in `RadianceOperator.render`
     target_error : for instance 0.01 for 1 %
     seed : of the random numbers
-    most_photons : after which it ends as it is
+    most_paths : after which it ends as it is
     progress : called with the share that is done, 0 to 1
 
     Returns
@@ -75,14 +75,14 @@ def render_to_error(
     """
     if not target_error > 0:
         raise DataError(f"target_error is {target_error}: it must be above 0, for instance 0.01 for 1 %")
-    extinction = operator.field(extinction)
-    pilot, audits = _pilot(operator, extinction, target_error / _MARGIN, seed, most_photons)
+    extinction = operator.on_device(extinction)
+    pilot, audits = _pilot(operator, extinction, target_error / _MARGIN, seed, most_paths)
     wanted = _samples(operator, pilot, target_error / _MARGIN)
     levels = np.ceil(np.log(np.maximum(wanted / _LEAST_SAMPLES, 1.0)) / np.log(_LEVEL) - 1e-9).astype(int)
     groups = [(level, np.flatnonzero(levels == level)) for level in np.unique(levels)]
     parts = [operator.of_pixels(operator.pixels[chosen]) for _, chosen in groups]
     done: list[Rendering | None] = [None] * len(groups)
-    budget, factor = most_photons - sum(audit.launched for audit in audits), 1.0
+    budget, factor = most_paths - sum(audit.launched for audit in audits), 1.0
     while True:
         planned = [2 * round(_LEAST_SAMPLES * _LEVEL**level * factor / 2) for level, _ in groups]
         photons = sum(count * len(chosen) for count, (_, chosen) in zip(planned, groups))
@@ -108,10 +108,10 @@ def render_to_error(
 
 
 def _pilot(
-    operator: RadianceOperator, extinction: Any, target: float, seed: int, most_photons: float
+    operator: RadianceOperator, extinction: Any, target: float, seed: int, most_paths: float
 ) -> tuple[Rendering, list[Audit]]:
     """The first paths of every pixel, and what became of them."""
-    most = most_photons / len(operator.pixels)
+    most = most_paths / len(operator.pixels)
     least = max(_PILOT_LEAST, 2 * int(min(_PILOT_PATHS / len(operator.pixels), most / 2) / 2))
     pilot = operator.render(extinction, least, seed)
     # How many paths a pixel will get, in the mean.

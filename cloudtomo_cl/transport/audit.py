@@ -11,7 +11,7 @@ import numpy as np
 from cloudtomo_cl.errors import AuditError
 from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.opencl.fixed_point import require_sums
-from cloudtomo_cl.opencl.layout import ACCOUNT_COPIES, FATES, WEIGHT_UNIT
+from cloudtomo_cl.opencl.layout import BUDGET_COPIES, TERMINATIONS, WEIGHT_UNIT
 
 # Each path's balance is rounded to single precision, a few hundred times in thick clouds.
 _ROUNDING = 1e-4
@@ -102,13 +102,13 @@ def combined(audits: Sequence[Audit]) -> Audit:
 _ADVICE = "the device computes wrongly; try another (cloudtomo devices), and please report this with its output"
 
 
-class Account:
-    """The account on the device, one per run of paths."""
+class Budget:
+    """The budget on the device, one per run of paths."""
 
     def __init__(self, device: Device) -> None:
         import pyopencl.array
 
-        self.sums = pyopencl.array.zeros(device.queue, (ACCOUNT_COPIES, len(FATES)), np.int64)
+        self.sums = pyopencl.array.zeros(device.queue, (BUDGET_COPIES, len(TERMINATIONS)), np.int64)
 
     @property
     def data(self) -> Any:
@@ -116,7 +116,7 @@ class Account:
         return self.sums.data
 
     def audit(self, radiance_sum: float = 0.0) -> Audit:
-        """What the account says.
+        """What the budget says.
 
         radiance_sum : of all paths, sr^-1, what a truncation left
 
@@ -125,14 +125,14 @@ class Account:
         TransportError : a sum has overflowed
         """
         copies = self.sums.get()
-        require_sums(copies, "the account of the paths' weights", "copy and fate")
-        sums = dict(zip(FATES, copies.sum(axis=0, dtype=float) / WEIGHT_UNIT))
+        require_sums(copies, "the budget of the paths' weights", "copy and termination")
+        sums = dict(zip(TERMINATIONS, copies.sum(axis=0, dtype=float) / WEIGHT_UNIT))
         launched = sums["LAUNCHED"]
         shares = {name: float(value / max(launched, 1.0)) for name, value in sums.items()}
         removed = float(sums["TRUNCATED"])
         return Audit(
             launched=round(launched),
-            **{name.lower(): shares[name] for name in FATES[: FATES.index("LAUNCHED")]},
+            **{name.lower(): shares[name] for name in TERMINATIONS[: TERMINATIONS.index("LAUNCHED")]},
             killed_standard_error=float(np.sqrt(max(sums["KILLED_VARIANCE"], 0.0)) / max(launched, 1.0)),
             truncated=removed / (removed + radiance_sum) if removed else 0.0,
         )

@@ -9,7 +9,7 @@ import numpy as np
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.opencl.fixed_point import require_sums
-from cloudtomo_cl.opencl.layout import FIELD_UNIT
+from cloudtomo_cl.opencl.layout import TABLE_UNIT
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.phase import PhaseFunction
 from cloudtomo_cl.scene.pixels import neighbours
@@ -50,17 +50,17 @@ _REFRESH = 4
 
 
 def table_footprint(voxels: int) -> Footprint:
-    """What a `RadianceField` of so many voxels takes."""
+    """What a `RadianceTable` of so many voxels takes."""
     return Footprint(_BYTES_PER_CELL * voxels * BINS, 16 * voxels * BINS, _HOST_BYTES_PER_CELL * voxels * BINS)
 
 
 def jacobian_footprint(pixels: int, voxels: int) -> Footprint:
-    """What `RadianceField.jacobian` takes: an average and what is added to it, and a block of rows on the device."""
+    """What `RadianceTable.jacobian` takes: an average and what is added to it, and a block of rows on the device."""
     rows = 8.0 * max(_BLOCK, voxels)
     return Footprint(rows, rows / 2, 2 * 4.0 * pixels * voxels)
 
 
-class RadianceField:
+class RadianceTable:
     """A table of the diffuse radiance by voxel and direction, and gradients by it.
 
     Parameters
@@ -82,7 +82,7 @@ class RadianceField:
         import pyopencl.array
 
         if operator.mask is None:
-            raise DataError("a radiance field needs the mask of its operator: give one, for instance of ones")
+            raise DataError("a radiance table needs the mask of its operator: give one, for instance of ones")
         self._operator = operator
         self._array = pyopencl.array
         device, mask = operator.device, operator.mask
@@ -103,8 +103,8 @@ class RadianceField:
         self._column = device.constant(column)
         self._voxel = device.constant(np.flatnonzero(mask).astype(np.int32))
         features = (*operator.features, *_FEATURES)
-        self._field_paths = device.kernel("field", "field_paths", features)
-        self._direct_sunlight = device.kernel("field", "direct_sunlight", features)
+        self._gradient_paths = device.kernel("derivatives", "gradient_paths", features)
+        self._direct_sunlight = device.kernel("derivatives", "direct_sunlight", features)
         self._features = features
         cloud = operator.scene.cloud
         # Of a phase table the middle row stands for all: it is what flights to the sun are drawn from.
@@ -184,10 +184,10 @@ class RadianceField:
         for start in range(0, pixels, block):
             count = min(block, pixels - start)
             rows = [self._array.zeros(operator.device.queue, (count, self.columns), np.float32) for _ in range(2)]
-            for launch in operator.kept_launches(rendering):
+            for launch in operator.stored_launches(rendering):
                 launch.run_pixels(
-                    kernel, count, self._column, self._scattered.data, self._sunlight.data, self._field.data,
-                    np.uint32(start), np.uint32(count), np.uint32(self.columns), rows[0].data, rows[1].data,
+                    kernel, count, **self._buffers, first_pixel=start, row_count=count, column_count=self.columns,
+                    first_rows=rows[0], later_rows=rows[1],
                 )  # fmt: skip
             here = slice(start, start + count)
             mean[here] += rows[0].get() * unit
@@ -211,6 +211,13 @@ class RadianceField:
         for name, array in (("field", self._field), ("scattered", self._scattered), ("sunlight", self._sunlight)):
             array.set(state[name])
 
+    @property
+    def _buffers(self) -> dict[str, Any]:
+        """The table as kernels take it."""
+        return {
+            "column": self._column, "scattered": self._scattered, "sunlight": self._sunlight, "table_sums": self._field
+        }  # fmt: skip
+
     def _walk(self, rendering: Rendering, adjoint: np.ndarray, change: Any) -> tuple[Any, np.ndarray]:
         operator = self._operator
         total = self._array.zeros(operator.device.queue, operator.scene.grid.shape, np.int64)
@@ -220,11 +227,11 @@ class RadianceField:
         scale = FIXED_POINT_SCALE / largest if largest > 0 else 0.0
         factors = operator.device.constant((adjoint * scale).astype(np.float32))
         tangent = np.zeros(len(operator.pixels))
-        for launch in operator.kept_launches(rendering):
+        for launch in operator.stored_launches(rendering):
             paths = self._array.empty(operator.device.queue, launch.paths, np.float32)
             launch.run(
-                self._field_paths, factors, self._column, self._scattered.data, self._sunlight.data, change.data,
-                total.data, paths.data, self._field.data,
+                self._gradient_paths, **self._buffers, adjoint=factors, change=change, gradient=total,
+                path_tangent=paths,
             )  # fmt: skip
             tangent += paths.get().reshape(-1, len(operator.pixels)).sum(axis=0, dtype=float)
         require_sums(total.get(), "the gradient", "voxel")
@@ -238,8 +245,8 @@ class RadianceField:
 
         self._table *= _FADING
         field = self._field.get()
-        require_sums(field, "the radiance field", "voxel of the mask, direction and kind")
-        self._table += field / np.float32(FIELD_UNIT)
+        require_sums(field, "the radiance table", "voxel of the mask, direction and kind")
+        self._table += field / np.float32(TABLE_UNIT)
         pyopencl.enqueue_fill_buffer(
             self._operator.device.queue,
             self._field.data,  # type: ignore[arg-type]  # an array's is a buffer
@@ -252,8 +259,8 @@ class RadianceField:
         self._scattered.set(scattered.astype(np.float32))
         medium = rendering._medium
         self._operator.device.launch(
-            self._direct_sunlight, self.columns, medium.struct, *medium.arguments, self._voxel,
-            np.uint32(self.columns), self._sunlight.data,
+            self._direct_sunlight, self.columns, **medium.arguments, voxel=self._voxel, count=self.columns,
+            sunlight=self._sunlight,
         )  # fmt: skip
         self._sunlight *= np.float32(self._albedo)
 

@@ -14,7 +14,7 @@ from cloudtomo_cl.opencl.fixed_point import require_sums
 from cloudtomo_cl.opencl.layout import FLUXES, MOST_SAMPLES, WEIGHT_UNIT, sun_view_struct
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.seeds import checked_seed
-from cloudtomo_cl.transport.audit import Account, Audit
+from cloudtomo_cl.transport.audit import Audit, Budget
 from cloudtomo_cl.transport.medium import Medium
 
 # Standard errors are from the spread of so many independent parts of a run.
@@ -145,13 +145,13 @@ class FluxOperator:
         if photons < 1:
             raise DataError(f"photons is {photons}: it must be at least 1")
         seed = checked_seed(seed)
-        field = self._medium.field(extinction, skips_clear=True)
+        field = self._medium.filled(extinction, skips_empty=True)
         samples = -(-photons // (_BATCHES * self._pixels))  # per pixel of the sun and batch
         if _BATCHES * samples > MOST_SAMPLES:
             most = MOST_SAMPLES // _BATCHES * _BATCHES * self._pixels
             raise DataError(f"photons is {photons:.6g}: this scene has at most {most:.6g}")
         shape = (len(FLUXES), *self.scene.grid.shape[:2])
-        account = Account(self.device)
+        budget = Budget(self.device)
         batches = np.empty((_BATCHES, *shape))
         for batch in range(_BATCHES):
             columns = pyopencl.array.zeros(self.device.queue, shape, np.int64)
@@ -161,15 +161,14 @@ class FluxOperator:
                 self._pace.launch(
                     self._trace_photons,
                     number * self._pixels,
-                    field.struct,
-                    self._sun_view,
-                    *field.arguments,
-                    np.uint32(self._pixels),
-                    np.uint32(batch * samples + done),
-                    np.uint32(number * self._pixels),
-                    np.uint32(seed),
-                    columns.data,
-                    account.data,
+                    **field.arguments,
+                    sun_view=self._sun_view,
+                    pixel_count=self._pixels,
+                    first_sample=batch * samples + done,
+                    photon_count=number * self._pixels,
+                    seed=seed,
+                    columns=columns,
+                    budget=budget.data,
                 )
                 done += number
                 if progress:
@@ -178,7 +177,7 @@ class FluxOperator:
             require_sums(weights, "a flux", "kind and column")
             batches[batch] = weights / WEIGHT_UNIT
         launched = _BATCHES * samples * self._pixels
-        audit = account.audit()
+        audit = budget.audit()
         audit.check(launched)
         # A photon stands for its share of the sunlight through the plane that the sun sees.
         column_area = self.scene.grid.spacing[0] * self.scene.grid.spacing[1]

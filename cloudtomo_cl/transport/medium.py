@@ -24,7 +24,7 @@ _LARGEST_VOXEL_DEPTH = 1e5
 
 
 @dataclass(frozen=True)
-class Field:
+class FilledMedium:
     """An extinction on the device, and what walks through it take along.
 
     Attributes
@@ -38,12 +38,12 @@ class Field:
     extinction: Any
     skips_zeros: bool
     _medium: Medium
-    _buffers: tuple[Any, ...]
+    _buffers: dict[str, Any]
 
     @property
-    def arguments(self) -> tuple[Any, ...]:
-        """What every kernel that walks paths takes of the medium, beside the Scene."""
-        return self.extinction.data, *self._buffers
+    def arguments(self) -> dict[str, Any]:
+        """What every kernel that walks paths takes of the medium, by name (parameters.MEDIUM)."""
+        return {"scene": self.struct, "extinction": self.extinction, **self._buffers}
 
 
 class Medium:
@@ -85,13 +85,13 @@ class Medium:
         # Molecules are everywhere: nothing can be skipped.
         self._has_air = scene.air is not None and bool(np.any(scene.air.profile(scene.grid)))
         self._structs = {
-            skips: device.constant(scene_struct(scene, side_flights, truncation, skips, clear_shift(scene)))
+            skips: device.constant(scene_struct(scene, side_flights, truncation, skips, empty_shift(scene)))
             for skips in (False, True)
         }
         self._profiles = device.constant(profiles(scene))
         self._table_row = device.constant(table_rows(scene, effective_radius))
-        self._nothing_clear = device.constant(np.zeros(1, np.uint8))
-        self._clear_by_mask = None if mask is None or self._has_air else self._clear(mask)
+        self._nothing_empty = device.constant(np.zeros(1, np.uint8))
+        self._empty_by_mask = None if mask is None or self._has_air else self._clear(mask)
         self.features = tuple(
             feature
             for feature, wanted in (
@@ -102,17 +102,17 @@ class Medium:
         )
 
     def _clear(self, occupied: np.ndarray) -> Any:
-        blocks = occupied_blocks(occupied, clear_shift(self.scene))
-        return self.device.constant(clear_distances(blocks, self.scene.boundary.horizontal == "periodic"))
+        blocks = occupied_blocks(occupied, empty_shift(self.scene))
+        return self.device.constant(empty_distances(blocks, self.scene.boundary.horizontal == "periodic"))
 
-    def field(self, extinction: Any, skips_clear: bool) -> Field:
+    def filled(self, extinction: Any, skips_empty: bool) -> FilledMedium:
         """Puts an extinction on the device.
 
         Parameters
         ----------
         extinction : km^-1, shape of the grid; NumPy, an array on the device, which is not looked into, or
             what this has returned before
-        skips_clear : whether walks may skip the voxels of a NumPy extinction that are 0, where there is no mask
+        skips_empty : whether walks may skip the voxels of a NumPy extinction that are 0, where there is no mask
 
         Raises
         ------
@@ -120,15 +120,15 @@ class Medium:
             above 0 outside of the mask; a field of another medium, or one that skips zeros where
             gradients are wanted
         """
-        if isinstance(extinction, Field):
+        if isinstance(extinction, FilledMedium):
             if extinction._medium is not self:
                 raise DataError("this field is of another scene, estimator or mask: give the extinction itself")
-            if extinction.skips_zeros and not skips_clear:
+            if extinction.skips_zeros and not skips_empty:
                 raise DataError("gradients need clear voxels, which this field skips: give the extinction itself")
             return extinction
         if tuple(extinction.shape) != self.scene.grid.shape:
             raise DataError(f"extinction has shape {tuple(extinction.shape)}, the grid {self.scene.grid.shape}")
-        clear, skips_zeros = self._clear_by_mask, False
+        clear, skips_zeros = self._empty_by_mask, False
         if isinstance(extinction, self._array.Array):
             beta = extinction
         else:
@@ -138,19 +138,23 @@ class Medium:
             if self.mask is not None and values[~self.mask].any():
                 raise DataError("extinction is above 0 outside of the mask: set it to 0 there, or widen the mask")
             beta = self._array.to_device(self.device.queue, values)
-            if clear is None and skips_clear and not self._has_air:
+            if clear is None and skips_empty and not self._has_air:
                 clear, skips_zeros = self._clear(values > 0), True
-        return Field(
+        return FilledMedium(
             self._structs[clear is not None],
             beta,
             skips_zeros,
             self,
-            (self._table_row, self._nothing_clear if clear is None else clear, self._profiles),
+            {
+                "table_row": self._table_row,
+                "empty": self._nothing_empty if clear is None else clear,
+                "profiles": self._profiles,
+            },
         )
 
 
-def clear_shift(scene: Scene) -> int:
-    """Walks skip blocks of 2^clear_shift voxels along each axis; a periodic domain's ends with a whole one."""
+def empty_shift(scene: Scene) -> int:
+    """Walks skip blocks of 2^empty_shift voxels along each axis; a periodic domain's ends with a whole one."""
     shape, shift = scene.grid.shape, 0
     periodic = scene.boundary.horizontal == "periodic"
     while max(shape) > _MOST_BLOCKS << shift and not (periodic and (shape[0] | shape[1]) & 1 << shift):
@@ -165,7 +169,7 @@ def occupied_blocks(occupied: np.ndarray, shift: int) -> np.ndarray:
     return occupied
 
 
-def clear_distances(occupied: np.ndarray, periodic: bool) -> np.ndarray:
+def empty_distances(occupied: np.ndarray, periodic: bool) -> np.ndarray:
     """How far from every block the nearest occupied one is, in blocks along the axis where it is most.
 
     Parameters
@@ -222,7 +226,7 @@ def check_depth(values: np.ndarray, edge: float) -> None:
 
 
 def profiles(scene: Scene) -> np.ndarray:
-    """The 1-D tables of a scene one after the other, float32 (see kernels/medium.h)."""
+    """The 1-D tables of a scene one after the other, float32 (see kernels/walk/medium.h)."""
     levels, molecules = scene.air_layers()
     parts = [levels - scene.grid.origin[2], molecules]
     phase = scene.cloud.phase_function

@@ -15,12 +15,13 @@ from cloudtomo_cl.opencl.device import Device, Pace, choose_device, device_error
 from cloudtomo_cl.opencl.fixed_point import require_sums
 from cloudtomo_cl.opencl.layout import MOST_SAMPLES, STRUCTS, ray_array, view_structs
 from cloudtomo_cl.opencl.memory import Footprint
+from cloudtomo_cl.renamed import renamed_arguments, renamed_attributes
 from cloudtomo_cl.scene.pixels import all_pixels
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.seeds import checked_seed
 from cloudtomo_cl.scene.sensors import View
-from cloudtomo_cl.transport.audit import Account, Audit, check_replays
-from cloudtomo_cl.transport.medium import Field, Medium
+from cloudtomo_cl.transport.audit import Audit, Budget, check_replays
+from cloudtomo_cl.transport.medium import FilledMedium, Medium
 
 Estimator = Literal["side-flights", "plain"]
 
@@ -37,6 +38,7 @@ _PATHS_OF_ITEM = 32
 _BYTES_PER_VOXEL, _BYTES_PER_PIXEL, _BYTES_PER_PATH, _HOST_BYTES_PER_PIXEL = 8, 48, 4, 160
 
 
+@renamed_attributes(iteration="stream")
 @dataclass(frozen=True)
 class Rendering:
     """Radiances of the operator's pixels.
@@ -47,7 +49,7 @@ class Rendering:
     standard_error : of the mean, same unit and shape
     halves : means over even and over odd samples, shape (pixels, 2)
     samples : paths per pixel; an array (pixels,) if they differ (`adaptive.render_to_error`)
-    seed, iteration : what the paths were drawn with
+    seed, stream : what the paths were drawn with
     audit : what became of the paths
     """
 
@@ -56,9 +58,9 @@ class Rendering:
     halves: np.ndarray
     samples: Any
     seed: int
-    iteration: int
+    stream: int
     audit: Audit
-    _medium: Field = field(repr=False)
+    _medium: FilledMedium = field(repr=False)
     _launches: list[tuple[int, Any]] = field(repr=False, default_factory=list)
 
     def __repr__(self) -> str:
@@ -68,22 +70,22 @@ class Rendering:
 
 
 @dataclass(frozen=True)
-class KeptLaunch:
+class StoredLaunch:
     """Paths of a rendering that are walked again together."""
 
     paths: int
     _samples: int
     _pace: Pace
-    _arguments: tuple[Any, ...]
+    _arguments: dict[str, Any]
 
-    def run(self, kernel: Any, *arguments: Any) -> None:
-        """Runs a kernel on them; its own arguments come after those of all walks."""
-        self._pace.launch(kernel, self.paths, *self._arguments, *arguments)
+    def run(self, kernel: Any, **arguments: Any) -> None:
+        """Runs a kernel on them; given are its own arguments, beside those of all replays."""
+        self._pace.launch(kernel, self.paths, **self._arguments, **arguments)
 
-    def run_pixels(self, kernel: Any, pixels: int, *arguments: Any) -> None:
-        """Runs a kernel of one work item a pixel, which walks paths of its pixel (after `begin`, `end`)."""
-        for part in parts(self._samples, _PATHS_OF_ITEM):
-            self._pace.device.launch(kernel, pixels, *self._arguments, *part, *arguments)
+    def run_pixels(self, kernel: Any, pixels: int, **arguments: Any) -> None:
+        """Runs a kernel of one work item a pixel, which walks the paths `begin` to `end` of its pixel."""
+        for begin, end in parts(self._samples, _PATHS_OF_ITEM):
+            self._pace.device.launch(kernel, pixels, **self._arguments, begin=begin, end=end, **arguments)
             self._pace.device.queue.finish()
 
 
@@ -109,7 +111,7 @@ class RadianceOperator:
     mask : bool, shape of the grid, where there may be droplets. Elsewhere every extinction must be 0
         and gradients mean nothing, for walks skip what is clear; by default everywhere
 
-    Source: the supplement's Eqs. 1-19; docs/estimators.md.
+    Source: the supplement's Eqs. 1-19; docs/explanation/radiance.md.
 
     Raises
     ------
@@ -160,19 +162,20 @@ class RadianceOperator:
         self._views = self.device.constant(view_structs(self.views, scene.grid, scene.top))
         self._rays = self.device.constant(ray_array(self.views, scene))
         self._pixels = self.device.constant(self.pixels)
-        self._render_paths = self.device.kernel("render", "render_paths", self._medium.features)
-        self._sum_paths = self.device.kernel("render", "sum_paths", self._medium.features)
-        self._replay_paths = self.device.kernel("gradient", "replay_paths", self._medium.features)
+        self._render_paths = self.device.kernel("image", "render_paths", self._medium.features)
+        self._sum_paths = self.device.kernel("image", "sum_paths", self._medium.features)
+        self._replay_paths = self.device.kernel("replay", "replay_paths", self._medium.features)
         self._pace = Pace(self.device)
 
+    @renamed_arguments(iteration="stream", keep_paths="store_paths")
     @device_errors("rendering")
     def render(
         self,
         extinction: Any,
         samples: int,
         seed: int = 0,
-        iteration: int = 0,
-        keep_paths: bool = False,
+        stream: int = 0,
+        store_paths: bool = False,
         progress: Callable[[int], None] | None = None,
         first_sample: int = 0,
     ) -> Rendering:
@@ -182,8 +185,8 @@ class RadianceOperator:
         ----------
         extinction : of the droplets, km^-1, shape of the grid; NumPy, an array on the device, or a `field`
         samples : paths per pixel, even
-        seed, iteration : together with view, pixel and sample these determine every path
-        keep_paths : keep what `gradient` needs (4 bytes per path on the device)
+        seed, stream : together with view, pixel and sample these determine every path
+        store_paths : keep what `gradient` needs (4 bytes per path on the device)
         progress : called with the number of samples done so far
         first_sample : number of the first path of every pixel, even
 
@@ -202,11 +205,11 @@ class RadianceOperator:
         if first_sample + samples > MOST_SAMPLES:
             raise DataError(f"{first_sample + samples} paths per pixel are more than the {MOST_SAMPLES} that there are")
         queue, count = self.device.queue, len(self.pixels)
-        medium = self._medium.field(extinction, skips_clear=not keep_paths)
+        medium = self._medium.filled(extinction, skips_empty=not store_paths)
         size = count * STRUCTS["PixelSums"].itemsize
         sums = self._cl.Buffer(self.device.context, self._cl.mem_flags.READ_WRITE, size)
         self._cl.enqueue_fill_buffer(queue, sums, np.zeros(1, np.uint8), 0, sums.size)
-        account = Account(self.device)
+        budget = Budget(self.device)
         launches: list[tuple[int, Any]] = []
         done = 0
         while done < samples:
@@ -215,26 +218,26 @@ class RadianceOperator:
             self._pace.launch(
                 self._render_paths,
                 number * count,
-                *self._arguments(medium, first, number * count, seed, iteration),
-                paths.data,
-                account.data,
+                **self._arguments(medium, first, number * count, seed, stream),
+                path_radiance=paths,
+                budget=budget.data,
             )
             for part in parts(number, _LONGEST_SUM):
-                self.device.launch(self._sum_paths, count, paths.data, np.uint32(count), np.uint32(first), *part, sums)
-            if keep_paths:
+                self.device.launch(self._sum_paths, count, paths, count, first, *part, sums)
+            if store_paths:
                 launches.append((first, paths))
             done += number
             if progress:
                 progress(done)
-        return self._rendering(sums, samples, seed, iteration, account, medium, launches)
+        return self._rendering(sums, samples, seed, stream, budget, medium, launches)
 
     @device_errors("putting the extinction on the device")
-    def field(self, extinction: Any) -> Field:
+    def on_device(self, extinction: Any) -> FilledMedium:
         """An extinction for several renders that keep no paths: looked through and put on the device once.
 
         Raises DataError as `render`.
         """
-        return self._medium.field(extinction, skips_clear=True)
+        return self._medium.filled(extinction, skips_empty=True)
 
     def of_pixels(self, pixels: np.ndarray) -> RadianceOperator:
         """The same operator for other pixels; see the class."""
@@ -243,28 +246,27 @@ class RadianceOperator:
         other._pixels = self.device.constant(other.pixels)
         return other
 
-    def _arguments(self, medium: Field, first: int, paths: int, seed: int, iteration: int) -> tuple[Any, ...]:
-        return (
-            medium.struct,
-            self._views,
-            self._rays,
-            self._pixels,
-            *medium.arguments,
-            np.uint32(len(self.pixels)),
-            np.uint32(first),
-            np.uint32(paths),
-            np.uint32(seed),
-            np.uint32(iteration),
-        )
+    def _arguments(self, medium: FilledMedium, first: int, paths: int, seed: int, stream: int) -> dict[str, Any]:
+        """What every kernel that walks the pixels' paths takes, by name."""
+        return medium.arguments | {
+            "views": self._views,
+            "rays": self._rays,
+            "pixels": self._pixels,
+            "pixel_count": len(self.pixels),
+            "first_sample": first,
+            "path_count": paths,
+            "seed": seed,
+            "stream": stream,
+        }
 
     def _rendering(
         self,
         sums: Any,
         samples: int,
         seed: int,
-        iteration: int,
-        account: Account,
-        medium: Field,
+        stream: int,
+        budget: Budget,
+        medium: FilledMedium,
         launches: list[tuple[int, Any]],
     ) -> Rendering:
         host = np.empty(len(self.pixels), STRUCTS["PixelSums"])
@@ -278,11 +280,11 @@ class RadianceOperator:
         if wrong.any():
             view, pixel = self.pixels[np.argmax(wrong)]
             raise TransportError(
-                f"radiance is not finite in view {view}, pixel {pixel} (seed {seed}, iteration {iteration})"
+                f"radiance is not finite in view {view}, pixel {pixel} (seed {seed}, stream {stream})"
             )
-        audit = account.audit(float(mean.sum()) / irradiance * samples)
+        audit = budget.audit(float(mean.sum()) / irradiance * samples)
         audit.check(samples * len(self.pixels))
-        return Rendering(mean, standard_error, halves, samples, seed, iteration, audit, medium, launches)
+        return Rendering(mean, standard_error, halves, samples, seed, stream, audit, medium, launches)
 
     @device_errors("the gradient")
     def gradient(self, rendering: Rendering, adjoint: np.ndarray) -> Any:
@@ -290,7 +292,7 @@ class RadianceOperator:
 
         Parameters
         ----------
-        rendering : made by this operator with keep_paths
+        rendering : made by this operator with store_paths
         adjoint : derivative of the cost with respect to `rendering.halves`, shape (pixels, 2).
             For an unbiased gradient the entry of one half must not depend on that half's own
             paths (see `objective.crossed_halves`).
@@ -306,7 +308,7 @@ class RadianceOperator:
         TransportError : a voxel's sum has overflowed
         """
         if not rendering._launches:
-            raise DataError("this rendering kept no paths: render with keep_paths=True")
+            raise DataError("this rendering kept no paths: render with store_paths=True")
         if adjoint.shape != (len(self.pixels), 2):
             raise DataError(f"adjoint has shape {adjoint.shape}, not ({len(self.pixels)}, 2)")
         queue = self.device.queue
@@ -316,13 +318,13 @@ class RadianceOperator:
             raise DataError("adjoint is not finite")
         if largest > 0:
             factors = self.device.constant((adjoint * (FIXED_POINT_SCALE / largest)).astype(np.float32))
-            for launch in self.kept_launches(rendering):
-                launch.run(self._replay_paths, factors, total.data)
+            for launch in self.stored_launches(rendering):
+                launch.run(self._replay_paths, adjoint=factors, gradient=total)
             require_sums(total.get(), "the gradient", "voxel")
         scale = largest / FIXED_POINT_SCALE * self.scene.sun.irradiance / (rendering.samples // 2)
         return total.astype(np.float32) * np.float32(scale)
 
-    def kept_launches(self, rendering: Rendering) -> Iterator[KeptLaunch]:
+    def stored_launches(self, rendering: Rendering) -> Iterator[StoredLaunch]:
         """The launches of a rendering that kept its paths, for kernels to walk them again.
 
         Raises
@@ -331,11 +333,12 @@ class RadianceOperator:
         AuditError : after the last of them, if paths have brought other radiances than before
         """
         if not rendering._launches:
-            raise DataError("this rendering kept no paths: render with keep_paths=True")
+            raise DataError("this rendering kept no paths: render with store_paths=True")
         astray = self._array.zeros(self.device.queue, 1, np.uint32)
         for first, paths in rendering._launches:
-            given = self._arguments(rendering._medium, first, paths.size, rendering.seed, rendering.iteration)
-            yield KeptLaunch(paths.size, paths.size // len(self.pixels), self._pace, (*given, paths.data, astray.data))
+            given = self._arguments(rendering._medium, first, paths.size, rendering.seed, rendering.stream)
+            given |= {"path_radiance": paths, "astray": astray}
+            yield StoredLaunch(paths.size, paths.size // len(self.pixels), self._pace, given)
         check_replays(int(astray.get()[0]), rendering.samples * len(self.pixels))
 
     def images(self, values: np.ndarray) -> list[np.ndarray]:
@@ -373,6 +376,6 @@ def pooled(first: Rendering, second: Rendering) -> Rendering:
     )
 
 
-def parts(count: int, most: int) -> list[tuple[np.uint32, np.uint32]]:
+def parts(count: int, most: int) -> list[tuple[int, int]]:
     """The numbers from 0 to below `count` in parts (begin, end) of at most `most`."""
-    return [(np.uint32(begin), np.uint32(min(begin + most, count))) for begin in range(0, count, most)]
+    return [(begin, min(begin + most, count)) for begin in range(0, count, most)]

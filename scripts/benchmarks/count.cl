@@ -1,25 +1,64 @@
-/* The walk of render_paths, for its counts alone: see scripts/divergence.py. */
-#define CLOUDTOMO_EVENTS_COUNTED 128
-#include "path.h"
+/* The walk of render_paths, for its counts alone: see scripts/divergence.py. Flights are flown again by a traversal
+ * that counts what they cross. */
+#include "walk/estimate.h"
+#include "walk/rng.h"
 
-__kernel void count_paths(__constant Scene *scene, const __global View *views, const __global float *rays,
-                          const __global uint2 *pixels, const __global float *extinction,
-                          const __global float *table_row, const __global uchar *clear,
-                          const __global float *profiles, const uint pixel_count, const uint first_sample,
-                          const uint path_count, const uint seed, const uint iteration,
-                          volatile __global Accumulator *account, __global ushort *crossings, __global uint *events)
+#define EVENTS_COUNTED 128
+
+typedef struct {
+    float radiance, own_share;  /* of walk/radiance.h */
+    uint event;                 /* of the path's flight, or later ones than are counted: the last */
+    __global ushort *crossings; /* by event */
+} Tally;
+
+#define TRAVERSAL fly_and_count
+#define TRAVERSAL_CONTEXT , __global ushort *crossings
+#define CROSSES(index, length) ++*crossings
+#define SKIPS() ++*crossings
+#include "walk/traversal.h"
+
+inline void count_flight(const Medium *medium, Ray ray, float optical_depth, const Tally *tally)
+{
+    fly_and_count(medium, &ray, optical_depth, tally->crossings + tally->event - 1u);
+}
+
+inline Flight tally_fly(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)
+{
+    tally->event = min(segment->event, (uint)EVENTS_COUNTED);
+    count_flight(medium, *ray, segment->optical_depth, tally);
+    return fly(medium, ray, segment->optical_depth);
+}
+
+inline void tally_segment(const Medium *medium, const Segment *segment, const Flight *flight, Particle end, float share,
+                          float local_radiance, Tally *tally)
+{
+}
+
+inline void tally_side_flight(const Medium *medium, const Segment *segment, const Flight *flight, Particle end,
+                              float share, float local_radiance, Tally *tally)
+{
+    count_flight(medium, segment->start, segment->optical_depth, tally);
+}
+
+inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalEstimate *estimate, Tally *tally)
+{
+    if (estimate->optical_depth > 0.0f)
+        count_flight(medium, shadow_ray(medium, from), estimate->optical_depth, tally);
+}
+
+#include "walk/unbudgeted.h"
+#include "walk/radiance.h"
+
+__kernel void count_paths(COUNT_PATHS_PARAMETERS)
 {
     const size_t item = get_global_id(0);
     if (item >= path_count)
         return;
     const uint path = path_of_item((uint)item, pixel_count, path_count);
     const uint2 pixel = pixels[path % pixel_count];
-    const SampleKey key = {seed, iteration, pixel.y, pixel.x, first_sample + (uint)(path / pixel_count)};
-    const Medium medium = make_medium(scene, extinction, table_row, clear, profiles);
-    Record record;
-    record_begin(&record);
-    record.account = account;
-    record.crossings = crossings + (size_t)path * CLOUDTOMO_EVENTS_COUNTED;
-    trace_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &record);
-    events[path] = record.event;
+    const SampleKey key = {seed, stream, pixel.y, pixel.x, first_sample + (uint)(path / pixel_count)};
+    const Medium medium = make_medium(MEDIUM_ARGUMENTS);
+    Tally tally = {0.0f, 1.0f, 1u, crossings + (size_t)path * EVENTS_COUNTED};
+    walk_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &tally);
+    events[path] = tally.event;
 }

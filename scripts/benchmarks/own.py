@@ -8,6 +8,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +16,7 @@ import cloudtomo_cl as ct
 from benchmarks.children import child
 from benchmarks.scenes import generated
 from benchmarks.timing import Line, cpu_seconds, timed
-from cloudtomo_cl.inversion.solvers.method import Progress
-from cloudtomo_cl.inversion.solvers.stochastic_descent import StochasticDescent
-from cloudtomo_cl.transport.derivatives import RadianceField
+from cloudtomo_cl.transport.derivatives import RadianceTable
 
 
 def machine() -> str:
@@ -40,12 +39,12 @@ def gradient_over_forward(quick: bool) -> Iterator[Line]:
     case = generated(32, 48)
     operator = ct.RadianceOperator(case.scene, (case.view,), mask=case.extinction > 0)
     adjoint = np.full((len(operator.pixels), 2), 1.0)
-    field = RadianceField(operator)
+    field = RadianceTable(operator)
     change = pyopencl.array.zeros(operator.device.queue, operator.scene.grid.shape, np.float32)
     samples, repeats = (64, 4) if quick else (256, 8)
     ratios = {"replay": [], "field": []}
     for n in range(repeats + 1):
-        rendering, seconds = timed(lambda n=n: operator.render(case.extinction, samples, n, keep_paths=True))
+        rendering, seconds = timed(lambda n=n: operator.render(case.extinction, samples, n, store_paths=True))
         for name, run in (
             ("replay", lambda r=rendering: operator.gradient(r, adjoint).get()),
             ("field", lambda r=rendering: field.gradient(r, adjoint, change)[0].get()),
@@ -151,21 +150,21 @@ def reconstructed(iterations: int) -> dict[str, float]:
     stages = [ct.Stage(grid=(size,) * 3, iterations=iterations) for size in (16, 32)]
     marks: list[tuple[int, float, float]] = []
     begun: list[float] = []
-    iterate = StochasticDescent.iterate
+    step = ct.Adam.step
 
     def mark(record: ct.IterationRecord) -> None:
         marks.append((record.stage, time.thread_time(), cpu_seconds()))
 
-    def begin(method: StochasticDescent, key: int, where: str) -> Progress:
+    def begin(solver: ct.Adam, *arguments: Any, **keywords: Any) -> Any:
         begun.append(cpu_seconds())
-        return iterate(method, key, where)
+        return step(solver, *arguments, **keywords)
 
-    StochasticDescent.iterate = begin  # type: ignore[method-assign]
+    ct.Adam.step = begin  # type: ignore[method-assign]
     for _ in range(2):  # the first builds the kernels
         marks.clear()
         begun.clear()
         ct.reconstruct(
-            case.scene, measurements, stages, optimizer=ct.Optimizer(type="adam"), mask=case.extinction > 0, seed=2,
+            case.scene, measurements, stages, solver=ct.Adam(), mask=case.extinction > 0, seed=2,
             callback=mark,
         )  # fmt: skip
     host = np.diff([thread for _, thread, _ in marks])

@@ -11,7 +11,7 @@ import cloudtomo_cl as ct
 from benchmarks.mitsuba_peer import Missing, MitsubaScene
 from benchmarks.scenes import Case, generated, scene_c
 from benchmarks.timing import Disagreement, Line, require_agreement, timed
-from cloudtomo_cl.transport.derivatives import RadianceField
+from cloudtomo_cl.transport.derivatives import RadianceTable
 
 _CASES = {"c": scene_c, "generated": lambda: generated(128)}
 _GOALS = {"forward": "100", "gradient": "250"}
@@ -86,15 +86,15 @@ def gradient(name: str, quick: bool) -> Iterator[Line]:
     mask = case.extinction > 0
     operator = ct.RadianceOperator(case.scene, (case.view,), mask=mask)
     adjoint = np.full((len(operator.pixels), 2), 0.5 / len(operator.pixels))
-    field = RadianceField(operator)
+    field = RadianceTable(operator)
     zero = _zeros(operator)
 
     def replayed(seed: int) -> np.ndarray:
-        rendering = operator.render(case.extinction, ours, seed, keep_paths=True)
+        rendering = operator.render(case.extinction, ours, seed, store_paths=True)
         return operator.gradient(rendering, adjoint).get()[mask]
 
     def by_field(seed: int) -> np.ndarray:
-        rendering = operator.render(case.extinction, ours, seed, keep_paths=True)
+        rendering = operator.render(case.extinction, ours, seed, store_paths=True)
         return field.gradient(rendering, adjoint, zero)[0].get()[mask]
 
     def by_mitsuba(seed: int) -> np.ndarray:

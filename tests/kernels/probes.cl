@@ -1,5 +1,7 @@
 /* Every function of the kernel headers behind a kernel of its own: one work item, one call. */
-#include "path.h"
+#include "walk/accumulate.h"
+#include "walk/camera.h"
+#include "walk/flight.h"
 
 #define PROBE(count) \
     const size_t i = get_global_id(0); \
@@ -101,14 +103,12 @@ __kernel void probe_crossings(const uint count, __constant Scene *scene,
 __kernel void probe_fly(const uint count, __constant Scene *scene, const __global float *extinction,
                         const __global float *profiles, const __global float *position,
                         const __global float *direction,
-                        const __global float *reach, __global float *result)
+                        const __global float *optical_depth, __global float *result)
 {
     PROBE(count);
     const Medium medium = make_medium(scene, extinction, 0, 0, profiles);
-    Record record;
-    record_begin(&record);
     Ray ray = probe_ray(position, direction, i);
-    const Flight flight = fly(&medium, &ray, reach[i], 0.0f, &record);
+    const Flight flight = fly(&medium, &ray, optical_depth[i]);
     const float3 end = ray.position * grid_spacing(scene);
     vstore8((float8)(flight.depth, flight.collided, flight.droplets, flight.air, (float)flight.index, end), i, result);
 }

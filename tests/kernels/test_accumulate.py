@@ -68,7 +68,7 @@ def test_sums_that_leave_their_range_are_known(any_probe, random, value, at):
 def compensated(probe, values, terms):
     sums = np.zeros((len(values), 2), np.float32)
     for begin, end in parts(terms, 1 << 15):  # some devices end longer loops
-        sums = probe("probe_compensated", len(values), end - begin, np.float32(values), results=[sums])
+        sums = probe("probe_compensated", len(values), np.uint32(end - begin), np.float32(values), results=[sums])
     return sums.astype(float).sum(axis=1)
 
 

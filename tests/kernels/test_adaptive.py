@@ -44,7 +44,7 @@ def test_paths_go_where_the_noise_is(device):
 
 
 def test_photons_are_limited_and_counted(operator):
-    rendering = render_to_error(operator, extinction_of(SCENE), 1e-6, seed=1, most_photons=50_000)
+    rendering = render_to_error(operator, extinction_of(SCENE), 1e-6, seed=1, most_paths=50_000)
     assert 40_000 < rendering.audit.launched <= 50_000 + 2 * len(operator.pixels)
     assert abs(rendering.audit.balance) < 1e-5
 

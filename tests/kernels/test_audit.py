@@ -9,7 +9,7 @@ from scenes import ABOVE, CAMERA, SCENES, extinction_of
 
 from cloudtomo_cl.errors import AuditError, TransportError
 from cloudtomo_cl.transport.audit import Audit, combined
-from cloudtomo_cl.transport.derivatives import RadianceField
+from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
 SOUND = Audit(
@@ -64,11 +64,11 @@ def test_paths_that_bring_something_else_when_walked_again_are_caught(device, wa
     """As on a device that ends loops before their time: here the kept radiances are others."""
     scene = SCENES["forward peak"]
     operator = RadianceOperator(scene, [ABOVE], device, mask=np.ones(scene.grid.shape, bool))
-    rendering = operator.render(extinction_of(scene), 100, keep_paths=True)
+    rendering = operator.render(extinction_of(scene), 100, store_paths=True)
     walks = {
         "replay": lambda: operator.gradient(rendering, np.ones((9, 2))),
-        "field": lambda: RadianceField(operator).gradient(rendering, np.ones((9, 2)), nothing),
-        "jacobian": lambda: RadianceField(operator).jacobian(rendering),
+        "field": lambda: RadianceTable(operator).gradient(rendering, np.ones((9, 2)), nothing),
+        "jacobian": lambda: RadianceTable(operator).jacobian(rendering),
     }
     nothing = pyopencl.array.zeros(device.queue, scene.grid.shape, np.float32)
     walks[walk]()
@@ -82,7 +82,7 @@ def test_a_gradient_that_overflows_is_an_error(device, monkeypatch):
     monkeypatch.setattr("cloudtomo_cl.transport.radiance.FIXED_POINT_SCALE", 2.0**68)
     scene = SCENES["forward peak"]
     operator = RadianceOperator(scene, [ABOVE], device)
-    rendering = operator.render(extinction_of(scene), 100, keep_paths=True)
+    rendering = operator.render(extinction_of(scene), 100, store_paths=True)
     with pytest.raises(TransportError, match=r"the gradient .* at voxel \(\d, \d, \d\)"):
         operator.gradient(rendering, np.ones((9, 2)))
 

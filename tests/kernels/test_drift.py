@@ -37,8 +37,8 @@ def test_radiances_on_top_of_a_billion(device, radiances):
     after = before.copy()
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
     sums = cl.Buffer(device.context, flags, hostbuf=after)
-    kernel = device.kernel("render", "sum_paths")
-    device.launch(kernel, 1, device.constant(radiances), *(np.uint32(n) for n in (1, 0, 0, PATHS)), sums)
+    kernel = device.kernel("image", "sum_paths")
+    device.launch(kernel, 1, device.constant(radiances), 1, 0, 0, PATHS, sums)
     cl.enqueue_copy(device.queue, after, sums)
 
     def total(sums, name):

@@ -67,7 +67,7 @@ def test_gradients_agree(device):
     for operator, first in zip(operators, (0, 100)):
         rows = []
         for seed in range(first, first + 24):
-            rendering = operator.render(extinction, 512, seed, keep_paths=True)
+            rendering = operator.render(extinction, 512, seed, store_paths=True)
             gradient = operator.gradient(rendering, adjoint).get()
             rows.append((gradient * extinction).sum(axis=(0, 1)).reshape(4, 3).sum(axis=1))
         sums.append(np.array(rows))

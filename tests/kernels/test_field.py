@@ -1,4 +1,4 @@
-"""The gradient by the radiance field, against the score function's and finite differences.
+"""The gradient by the radiance table, against the score function's and finite differences.
 
 The field's table has cells of a voxel and about 0.17 sr, so it is right up to a bias: what is tested
 is that the bias is small where there is cloud, and that nothing else is wrong.
@@ -15,7 +15,7 @@ from cloudtomo_cl.scene.phase import HenyeyGreenstein
 from cloudtomo_cl.scene.pixels import neighbours
 from cloudtomo_cl.scene.scene import Air, Boundary, Cloud, Scene, Sun, Surface
 from cloudtomo_cl.scene.sensors import OrthographicView, RayView
-from cloudtomo_cl.transport.derivatives import _AZIMUTHS, _EDGES, BINS, RadianceField, scattering_matrix
+from cloudtomo_cl.transport.derivatives import _AZIMUTHS, _EDGES, BINS, RadianceTable, scattering_matrix
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
 GRID = Grid(shape=(5, 5, 5), spacing=(0.05, 0.05, 0.05), origin=(0.0, 0.0, 0.1))
@@ -40,11 +40,11 @@ def extinction():
 
 def gradients(operator, values, samples, iterations, adjoint):
     """Mean of the gradients by the field, after some that fill its table."""
-    field = RadianceField(operator)
+    field = RadianceTable(operator)
     nothing = pyopencl.array.zeros(operator.device.queue, GRID.shape, np.float32)
     found = []
     for iteration in range(iterations):
-        rendering = operator.render(values, samples, 3, iteration + 1, keep_paths=True)
+        rendering = operator.render(values, samples, 3, iteration + 1, store_paths=True)
         found.append(field.gradient(rendering, adjoint, nothing)[0].get())
     return np.mean(found[iterations // 2 :], axis=0)
 
@@ -57,7 +57,7 @@ def test_gradients_are_close_to_the_score_functions(device, scene):
     adjoint = np.full((72, 2), 0.5)
     expected = np.zeros(GRID.shape)
     for iteration in range(4):
-        rendering = operator.render(values, 4000, 8, iteration + 1, keep_paths=True)
+        rendering = operator.render(values, 4000, 8, iteration + 1, store_paths=True)
         expected += operator.gradient(rendering, adjoint).get() / 4
     found = gradients(operator, values, 1000, 12, adjoint)
     cloud = values > 1
@@ -68,7 +68,8 @@ def test_gradients_are_close_to_the_score_functions(device, scene):
 
 def test_clear_voxels_get_a_gradient_of_the_right_sign_and_order(device):
     """Where the score function has none. Beside a cloud the table knows the light from few directions only, and the
-    gradient is too large (docs/estimators.md): between half and twice the finite difference, summed over them."""
+    gradient is too large (docs/measurements/derivatives.md): between half and twice the finite difference, summed
+    over them."""
     scene, values, mask = SCENES["overhead sun"], extinction(), np.ones(GRID.shape, bool)
     operator = RadianceOperator(scene, VIEWS, device, mask=mask)
     clear = values == 0
@@ -84,11 +85,11 @@ def test_the_tangent_is_what_images_change_by(device):
     """Along a growth of the whole cloud by 2 %, pooled over the pixels: within 15 %."""
     scene, values = SCENES["overhead sun"], extinction()
     operator = RadianceOperator(scene, VIEWS, device, mask=values > 0)
-    field, change = RadianceField(operator), 0.02 * values
+    field, change = RadianceTable(operator), 0.02 * values
     on_device = pyopencl.array.to_device(device.queue, change)
     tangents = []
     for iteration in range(8):
-        rendering = operator.render(values, 2000, 3, iteration + 1, keep_paths=True)
+        rendering = operator.render(values, 2000, 3, iteration + 1, store_paths=True)
         tangents.append(field.gradient(rendering, np.zeros((72, 2)), on_device)[1].sum())
     more, less = (operator.render(v, 200_000, 5).mean.sum() for v in (values + change, values - change))
     assert np.mean(tangents[4:]) == pytest.approx((more - less) / 2, rel=0.15)
@@ -98,13 +99,13 @@ def test_a_field_goes_on_with_the_same_bits(device):
     scene, values = SCENES["overhead sun"], extinction()
     operator = RadianceOperator(scene, VIEWS, device, mask=values > 0)
     nothing = pyopencl.array.zeros(device.queue, GRID.shape, np.float32)
-    renderings = [operator.render(values, 100, 3, iteration, keep_paths=True) for iteration in range(8)]
-    straight, stopped = RadianceField(operator), RadianceField(operator)
+    renderings = [operator.render(values, 100, 3, iteration, store_paths=True) for iteration in range(8)]
+    straight, stopped = RadianceTable(operator), RadianceTable(operator)
     expected = [straight.gradient(r, np.ones((72, 2)), nothing)[0].get() for r in renderings]
     for rendering in renderings[:5]:
         stopped.gradient(rendering, np.ones((72, 2)), nothing)
-    resumed = RadianceField(operator)
-    resumed.restore(stopped.state())
+    resumed = RadianceTable(operator)
+    resumed.restore(stopped.arrays())
     found = [resumed.gradient(r, np.ones((72, 2)), nothing)[0].get() for r in renderings[5:]]
     np.testing.assert_array_equal(found, expected[5:])
 
@@ -122,17 +123,17 @@ def test_isotropic_light_scatters_into_isotropic_light(phase_function):
 
 def test_a_field_needs_a_mask(device):
     with pytest.raises(DataError, match="mask"):
-        RadianceField(RadianceOperator(SCENES["overhead sun"], VIEWS, device))
+        RadianceTable(RadianceOperator(SCENES["overhead sun"], VIEWS, device))
 
 
 def filled(operator, values):
     """A field whose table some paths have filled, and a rendering to go on with."""
-    field = RadianceField(operator)
+    field = RadianceTable(operator)
     nothing = pyopencl.array.zeros(operator.device.queue, GRID.shape, np.float32)
     for iteration in range(4):
-        rendering = operator.render(values, 40, 3, iteration + 1, keep_paths=True)
+        rendering = operator.render(values, 40, 3, iteration + 1, store_paths=True)
         field.gradient(rendering, np.zeros((len(operator.pixels), 2)), nothing)
-    return field, operator.render(values, 20, 3, 9, keep_paths=True)
+    return field, operator.render(values, 20, 3, 9, store_paths=True)
 
 
 def test_the_jacobian_is_that_of_gradient_and_tangent(device, random):
@@ -143,7 +144,7 @@ def test_the_jacobian_is_that_of_gradient_and_tangent(device, random):
     rays = [RayView(origins, directions * (1, 1, 0) - (0, 0, 2))]
     operator = RadianceOperator(SCENES["oblique, absorbing, ground"], rays, device, mask=mask)
     field, rendering = filled(operator, values)
-    state = field.state()
+    state = field.arrays()
     jacobian = field.jacobian(rendering)
     field.restore(state)
     adjoint, change = random.normal(size=len(operator.pixels)), random.normal(size=GRID.shape).astype(np.float32)
@@ -155,11 +156,11 @@ def test_the_jacobian_is_that_of_gradient_and_tangent(device, random):
 
 def test_the_jacobian_does_not_depend_on_how_launches_are_cut(device, monkeypatch):
     operator = RadianceOperator(SCENES["air, periodic"], VIEWS, device, mask=np.ones(GRID.shape, bool))
-    rendering = operator.render(extinction(), 20, 3, 1, keep_paths=True)
+    rendering = operator.render(extinction(), 20, 3, 1, store_paths=True)
     found = []
     for most in (32, 7):
         monkeypatch.setattr("cloudtomo_cl.transport.radiance._PATHS_OF_ITEM", most)
-        found.append(RadianceField(operator).jacobian(rendering))
+        found.append(RadianceTable(operator).jacobian(rendering))
     assert found[0].any()
     np.testing.assert_array_equal(*found)
 
@@ -167,8 +168,8 @@ def test_the_jacobian_does_not_depend_on_how_launches_are_cut(device, monkeypatc
 def test_derivatives_are_averaged_into_earlier_ones(device):
     """mean + rate (new - mean), to the rounding of float32."""
     operator = RadianceOperator(SCENES["air, periodic"], VIEWS, device, mask=np.ones(GRID.shape, bool))
-    renderings = [operator.render(extinction(), 20, 3, iteration, keep_paths=True) for iteration in (1, 2)]
-    apart, together = RadianceField(operator), RadianceField(operator)
+    renderings = [operator.render(extinction(), 20, 3, iteration, store_paths=True) for iteration in (1, 2)]
+    apart, together = RadianceTable(operator), RadianceTable(operator)
     first, second = (apart.jacobian(rendering) for rendering in renderings)
     mean = together.jacobian(renderings[0])
     assert together.jacobian(renderings[1], mean, 0.25) is mean

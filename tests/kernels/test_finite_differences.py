@@ -1,8 +1,8 @@
 """Every gradient against finite differences, of one cloud on coarse, middle and fine voxels.
 
 Both sides of a difference have the same random numbers. The replayed gradient is unbiased: what it differs
-by must be noise. Those by the field of radiance are biased by the cells of its table (docs/estimators.md):
-how much is stated with each test.
+by must be noise. Those by the field of radiance are biased by the cells of its table
+(docs/measurements/derivatives.md): how much is stated with each test.
 """
 
 from dataclasses import replace
@@ -17,7 +17,7 @@ from cloudtomo_cl.scene.grid import Grid, resample
 from cloudtomo_cl.scene.phase import HenyeyGreenstein
 from cloudtomo_cl.scene.scene import Cloud, Scene, Sun, Surface
 from cloudtomo_cl.scene.sensors import OrthographicView
-from cloudtomo_cl.transport.derivatives import RadianceField
+from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
 FINE = Grid(shape=(8, 8, 6), spacing=(0.04, 0.04, 0.05), origin=(0.0, 0.0, 0.1))
@@ -70,7 +70,7 @@ def test_the_replayed_gradient(device, shape, estimator):
     operator = RadianceOperator(scene, VIEWS, device, estimator=estimator)
     adjoint = np.full((PIXELS, 2), 0.5)
     gradients = [
-        operator.gradient(operator.render(values, 500, 33, batch, keep_paths=True), adjoint).get()
+        operator.gradient(operator.render(values, 500, 33, batch, store_paths=True), adjoint).get()
         for batch in range(12)
     ]
     for name, share in changes(values).items():
@@ -90,10 +90,10 @@ def test_the_gradient_and_the_jacobian_by_the_field(device, shape):
     """
     scene, values = cloud(shape)
     operator = RadianceOperator(scene, VIEWS, device, mask=np.ones(shape, bool))
-    field, nothing = RadianceField(operator), pyopencl.array.zeros(device.queue, shape, np.float32)
+    field, nothing = RadianceTable(operator), pyopencl.array.zeros(device.queue, shape, np.float32)
     jacobians, gradients = [], []
     for iteration in range(8):
-        rendering = operator.render(values, 600, 3, iteration + 1, keep_paths=True)
+        rendering = operator.render(values, 600, 3, iteration + 1, store_paths=True)
         if iteration % 2:
             jacobians.append(field.jacobian(rendering))
         else:

@@ -27,7 +27,7 @@ SEED, ITERATION, SAMPLES = 8, 2, 8
 def compare_with_reference(scene, random, operator, **options):
     """Radiances of the paths, and the gradient of a random combination of pixels."""
     extinction = extinction_of(scene)
-    rendering = operator.render(extinction, SAMPLES, seed=SEED, iteration=ITERATION, keep_paths=True)
+    rendering = operator.render(extinction, SAMPLES, seed=SEED, iteration=ITERATION, store_paths=True)
     paths = reference_paths(scene, extinction, operator, SAMPLES, SEED, ITERATION, **options)
     expected_radiance = radiances(paths)
     agree = np.abs(kernel_paths(rendering) - expected_radiance) <= 1e-3 * np.abs(expected_radiance)
@@ -71,7 +71,7 @@ def test_gradients_scale_with_the_suns_irradiance(device):
     results = []
     for scene in (SCENES["ground"], bright):
         operator = RadianceOperator(scene, [ABOVE], device)
-        rendering = operator.render(extinction_of(scene), 20, keep_paths=True)
+        rendering = operator.render(extinction_of(scene), 20, store_paths=True)
         results.append(operator.gradient(rendering, np.ones((9, 2))).get())
     np.testing.assert_allclose(results[1], 3 * results[0], rtol=1e-5, atol=1e-7)
 
@@ -125,7 +125,7 @@ def test_gradients_are_those_of_finite_differences(device, scene, estimator):
     leaves an error of (step x length)^2 / 6, at most 2 % of the derivative, inside the
     standard errors; most derivatives here are 10 to 50 standard errors large.
 
-    Where the extinction is 0 this gradient has no collision term (docs/estimators.md), so
+    Where the extinction is 0 this gradient has no collision term (docs/explanation/derivatives.md), so
     empty voxels are left out.
     """
     operator = RadianceOperator(scene, VIEWS, device, estimator=estimator)
@@ -137,7 +137,7 @@ def test_gradients_are_those_of_finite_differences(device, scene, estimator):
         return weights @ operator.render(values, PER_BATCH, seed=21, iteration=batch).mean
 
     gradients = [
-        operator.gradient(operator.render(extinction, PER_BATCH, 21, batch, keep_paths=True), adjoint).get()
+        operator.gradient(operator.render(extinction, PER_BATCH, 21, batch, store_paths=True), adjoint).get()
         for batch in range(BATCHES)
     ]
     for name, change in directions(extinction):

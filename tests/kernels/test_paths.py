@@ -35,7 +35,7 @@ def test_paths_have_the_radiances_of_the_reference(device, scene, estimator):
     extinction = extinction_of(scene)
     views = [ABOVE, CAMERA, RAYS, SCANNER, RADIOMETER, RADIOMETER_BELOW]
     operator = RadianceOperator(scene, views, device, estimator=estimator)
-    rendering = operator.render(extinction, SAMPLES, seed=SEED, iteration=ITERATION, keep_paths=True)
+    rendering = operator.render(extinction, SAMPLES, seed=SEED, iteration=ITERATION, store_paths=True)
     found = kernel_paths(rendering)
     expected = radiances(reference_paths(scene, extinction, operator, SAMPLES, SEED, ITERATION))
     lit = (found != 0) | (expected != 0)
@@ -48,7 +48,7 @@ def test_paths_have_the_radiances_of_the_reference(device, scene, estimator):
 def test_means_are_those_of_the_paths(device):
     scene = SCENES["forward peak"]
     operator = RadianceOperator(scene, [ABOVE], device)
-    rendering = operator.render(extinction_of(scene), 64, keep_paths=True)
+    rendering = operator.render(extinction_of(scene), 64, store_paths=True)
     paths = kernel_paths(rendering)
     np.testing.assert_allclose(rendering.halves[:, 0], paths[0::2].mean(axis=0), rtol=1e-6)
     np.testing.assert_allclose(rendering.halves[:, 1], paths[1::2].mean(axis=0), rtol=1e-6)
@@ -61,8 +61,8 @@ def test_paths_do_not_depend_on_how_launches_are_cut(device):
     whole = RadianceOperator(scene, [ABOVE], device)
     cut = RadianceOperator(scene, [ABOVE], device)
     cut._pace.work_items = 50
-    first = whole.render(extinction, 40, keep_paths=True)
-    second = cut.render(extinction, 40, keep_paths=True)
+    first = whole.render(extinction, 40, store_paths=True)
+    second = cut.render(extinction, 40, store_paths=True)
     assert len(second._launches) > len(first._launches)
     np.testing.assert_array_equal(kernel_paths(first), kernel_paths(second))
     np.testing.assert_array_equal(first.halves, second.halves)
@@ -80,7 +80,7 @@ def test_sums_do_not_depend_on_how_they_are_cut(device, monkeypatch):
 def test_all_paths_of_a_pixel_count_however_many_there_are(device):
     """More than the rounds after which a driver may end a loop (65,535 of Mesa's llvmpipe)."""
     operator = RadianceOperator(SCENES["forward peak"], [ABOVE], device, pixels=np.array([[0, 4]]))
-    rendering = operator.render(extinction_of(operator.scene), 150_000, keep_paths=True)
+    rendering = operator.render(extinction_of(operator.scene), 150_000, store_paths=True)
     assert rendering.mean == pytest.approx(kernel_paths(rendering).mean(dtype=float), rel=1e-6)
 
 

@@ -11,7 +11,7 @@ from cloudtomo_cl.reference.prior import prior_value_and_gradient
 
 SHAPES = [(5, 4, 6), (3, 1, 2), (1, 1, 1), (2, 7, 1)]
 PRIORS = [Prior(smoothness=1.0), Prior(smoothness=0.0, monotonicity=1.0), Prior(smoothness=0.3, monotonicity=2.0)]
-PRIORS = [*(replace(prior, sparsity=0.0) for prior in PRIORS), Prior(smoothness=0.1, sparsity=2.0, clear=4.0)]
+PRIORS = [*(replace(prior, sparsity=0.0) for prior in PRIORS), Prior(smoothness=0.1, sparsity=2.0, sparsity_scale=4.0)]
 NOISE = 0.7
 
 
@@ -21,7 +21,7 @@ def both(device, random, shape, prior, weight=1.0):
     value, gradient = PriorOperator(prior, shape, device).value_and_gradient(on_device, weight, NOISE)
     expected = prior_value_and_gradient(
         extinction, prior.smoothness, prior.monotonicity, prior.c1, prior.c2, prior.threshold,
-        prior.sparsity * NOISE, prior.clear,
+        prior.sparsity * NOISE, prior.sparsity_scale,
     )
     return value, gradient.get(), expected
 

@@ -104,7 +104,7 @@ def test_radiances_and_gradients_are_finite_and_radiances_not_negative(device, d
     assume(not level_in_periodic(scene, view))
     extinction = extinctions(scene, 10.0**exponent, seed=1)
     operator = RadianceOperator(scene, [view], device)
-    rendering = operator.render(extinction, 16, seed=3, keep_paths=True)
+    rendering = operator.render(extinction, 16, seed=3, store_paths=True)
     paths = kernel_paths(rendering)
     assert np.isfinite(paths).all() and (paths >= 0).all()
     assert np.isfinite(rendering.mean).all() and np.isfinite(rendering.standard_error).all()
@@ -122,7 +122,7 @@ def test_paths_are_those_of_the_reference(device, data, scene, exponent):
     extinction = extinctions(scene, 10.0**exponent, seed=2)
     operator = RadianceOperator(scene, [view], device)
     samples = 8
-    found = kernel_paths(operator.render(extinction, samples, seed=5, iteration=2, keep_paths=True))
+    found = kernel_paths(operator.render(extinction, samples, seed=5, iteration=2, store_paths=True))
     expected = radiances(reference_paths(scene, extinction.astype(float), operator, samples, 5, 2))
     agree = np.abs(found - expected) <= 2e-3 * np.abs(expected) + 1e-12
     # Of 32 paths a few take another turn where rounding decides (see test_paths).

@@ -1,4 +1,4 @@
-"""Random numbers of the kernels: docs/sampling.md."""
+"""Random numbers of the kernels: docs/reference/random-numbers.md."""
 
 import numpy as np
 import pytest

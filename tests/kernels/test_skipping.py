@@ -8,7 +8,7 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import Boundary, Scene, Sun, Surface
 from cloudtomo_cl.transport import medium
-from cloudtomo_cl.transport.medium import clear_distances, clear_shift, occupied_blocks
+from cloudtomo_cl.transport.medium import empty_distances, empty_shift, occupied_blocks
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
 GRID = Grid(shape=(9, 12, 9), spacing=(0.034, 0.027, 0.04), origin=(0.5, -0.2, 0.2))
@@ -26,7 +26,7 @@ def sparse(random):
 @pytest.mark.parametrize("periodic", [False, True], ids=["open", "periodic"])
 def test_distances_are_those_to_the_nearest_occupied_voxel(random, periodic):
     occupied = random.random((7, 5, 6)) > 0.97
-    found = clear_distances(occupied, periodic)
+    found = empty_distances(occupied, periodic)
     voxels, shape = np.argwhere(occupied), np.array(occupied.shape)
     for voxel in np.ndindex(*occupied.shape):
         apart = np.abs(voxels - voxel)
@@ -36,9 +36,9 @@ def test_distances_are_those_to_the_nearest_occupied_voxel(random, periodic):
 
 
 def test_walks_through_a_clear_periodic_domain_wrap_once_at_most():
-    assert clear_distances(np.zeros((2, 7, 40), bool), True).max() == 2
-    assert clear_distances(np.zeros((40, 70, 5), bool), True).max() == 32
-    assert clear_distances(np.zeros((2, 7, 40), bool), False).min() == 255
+    assert empty_distances(np.zeros((2, 7, 40), bool), True).max() == 2
+    assert empty_distances(np.zeros((40, 70, 5), bool), True).max() == 32
+    assert empty_distances(np.zeros((2, 7, 40), bool), False).min() == 255
 
 
 def test_a_block_is_occupied_if_any_of_its_voxels_is():
@@ -62,7 +62,7 @@ def test_a_block_is_occupied_if_any_of_its_voxels_is():
 )
 def test_large_grids_are_skipped_by_blocks_that_fill_a_periodic_domain(shape, horizontal, shift):
     scene = Scene(Grid(shape=shape, spacing=(0.1, 0.1, 0.1)), Sun(zenith=0), boundary=Boundary(horizontal))
-    assert clear_shift(scene) == shift
+    assert empty_shift(scene) == shift
 
 
 @pytest.mark.parametrize("horizontal", ["open", "periodic"])
@@ -76,10 +76,10 @@ def test_paths_are_the_same_with_and_without_blocks(device, random, monkeypatch,
     extinction[7:13, 9:14, 6:12] = random.uniform(5, 40, (6, 5, 6))
     extinction[23, 0, 20] = 60
     views = [ABOVE, CAMERA, RAYS]
-    walking = RadianceOperator(scene, views, device).render(extinction, 40, keep_paths=True)
+    walking = RadianceOperator(scene, views, device).render(extinction, 40, store_paths=True)
     monkeypatch.setattr(medium, "_MOST_BLOCKS", 6)
-    assert clear_shift(scene) == 2
-    skipping = RadianceOperator(scene, views, device, mask=extinction > 0).render(extinction, 40, keep_paths=True)
+    assert empty_shift(scene) == 2
+    skipping = RadianceOperator(scene, views, device, mask=extinction > 0).render(extinction, 40, store_paths=True)
     found, expected = kernel_paths(skipping), kernel_paths(walking)
     assert (expected != 0).mean() > 0.3
     assert np.mean(np.abs(found - expected) <= 1e-3 * expected) >= 0.99
@@ -93,8 +93,8 @@ def test_paths_are_the_same_with_and_without(device, sparse, horizontal, zenith)
         GRID, Sun(zenith=zenith, azimuth=70), optics(0.85), surface=Surface(0.3), boundary=Boundary(horizontal)
     )
     views = [ABOVE, CAMERA, RAYS]
-    walking = RadianceOperator(scene, views, device).render(sparse, 40, keep_paths=True)
-    skipping = RadianceOperator(scene, views, device, mask=sparse > 0).render(sparse, 40, keep_paths=True)
+    walking = RadianceOperator(scene, views, device).render(sparse, 40, store_paths=True)
+    skipping = RadianceOperator(scene, views, device, mask=sparse > 0).render(sparse, 40, store_paths=True)
     found, expected = kernel_paths(skipping), kernel_paths(walking)
     assert (expected != 0).mean() > 0.3
     assert np.mean(np.abs(found - expected) <= 1e-3 * expected) >= 0.99
@@ -104,7 +104,7 @@ def test_gradients_inside_a_mask_are_the_same(device, sparse):
     scene = Scene(GRID, Sun(zenith=30, azimuth=70), optics(0.85), boundary=PERIODIC)
     mask, gradients = sparse > 0, []
     for operator in (RadianceOperator(scene, [CAMERA], device), RadianceOperator(scene, [CAMERA], device, mask=mask)):
-        rendering = operator.render(sparse, 200, keep_paths=True)
+        rendering = operator.render(sparse, 200, store_paths=True)
         gradients.append(operator.gradient(rendering, np.ones((9, 2))).get()[mask])
     np.testing.assert_allclose(gradients[0], gradients[1], atol=0.02 * np.abs(gradients[0]).max())
 
@@ -118,13 +118,13 @@ def test_extinction_outside_of_the_mask_is_refused(device, sparse):
 def test_an_extinction_put_on_the_device_before_gives_the_same_image(device, sparse):
     operator = RadianceOperator(Scene(grid=GRID, sun=Sun(zenith=30)), [ABOVE], device)
     expected = operator.render(sparse, 8, seed=3).mean
-    np.testing.assert_array_equal(operator.render(operator.field(sparse), 8, seed=3).mean, expected)
+    np.testing.assert_array_equal(operator.render(operator.on_device(sparse), 8, seed=3).mean, expected)
 
 
 def test_gradients_do_not_take_a_field_that_skips_clear_voxels(device, sparse):
     operator = RadianceOperator(Scene(grid=GRID, sun=Sun(zenith=30)), [ABOVE], device)
     with pytest.raises(DataError, match="gradient"):
-        operator.render(operator.field(sparse), 8, keep_paths=True)
+        operator.render(operator.on_device(sparse), 8, store_paths=True)
 
 
 def test_a_field_of_another_scene_is_refused(device, sparse):

@@ -3,12 +3,14 @@
 import re
 from pathlib import Path
 
+import pytest
 from matplotlib import pyplot
 
 import cloudtomo_cl as ct
 
 README = Path(__file__).parents[2] / "README.md"
-PYTHON = README.parent / "docs" / "python.md"
+PYTHON = README.parent / "docs" / "how-to" / "python.md"
+OWN = README.parent / "docs" / "tutorial" / "own-prior-and-solver.md"
 
 
 def test_python_example_recovers_a_cloud(capsys):
@@ -19,8 +21,8 @@ def test_python_example_recovers_a_cloud(capsys):
     assert re.fullmatch(r"eps [\d.]+, largest extinction \d+ km\^-1\n", capsys.readouterr().out)
 
 
-def examples():
-    return re.findall(r"<!-- tested .*?```python\n(.*?)```", PYTHON.read_text(), flags=re.DOTALL)
+def examples(page=PYTHON):
+    return re.findall(r"<!-- tested .*?```python\n(.*?)```", page.read_text(), flags=re.DOTALL)
 
 
 def test_notebook_goes_from_xarray_to_images_and_back(tmp_path, monkeypatch, capsys):
@@ -50,4 +52,20 @@ def words(figure):
 def test_scipy_example_comes_closer_to_the_cloud(capsys):
     exec(compile(examples()[0], str(PYTHON), "exec"), {})
     start, end = re.fullmatch(r"eps ([\d.]+) at the start, ([\d.]+) in the end\n", capsys.readouterr().out).groups()
+    assert float(end) < 0.8 < float(start)
+
+
+@pytest.fixture(scope="module")
+def own_images():
+    names = {}
+    exec(compile(examples(OWN)[0], str(OWN), "exec"), names)
+    return names
+
+
+@pytest.mark.parametrize("number", [1, 2, 3], ids=["lsqr", "ODL", "total variation"])
+def test_own_solvers_and_priors_come_closer_to_the_cloud(own_images, number, capsys):
+    if number == 2:
+        pytest.importorskip("odl", reason="ODL, of the extra test, is not installed")
+    exec(compile(examples(OWN)[number], str(OWN), "exec"), dict(own_images))
+    start, end = re.fullmatch(r"eps ([\d.]+) [a-z ]+, ([\d.]+) in the end\n", capsys.readouterr().out).groups()
     assert float(end) < 0.8 < float(start)

@@ -106,7 +106,7 @@ def test_every_number_has_a_unit(outputs, name):
         # Bounds have the unit of what they bound (CF 7.1).
         numbers = {name for name in dataset.variables if dataset[name].dtype.kind in "fiu" and "bounds" not in name}
         assert len(numbers) > 10 and not [name for name in numbers if "units" not in dataset[name].attrs]
-        assert {"source", "settings", "device", "versions", "photons", "Conventions"} <= set(dataset.attrs)
+        assert {"source", "settings", "device", "versions", "paths", "Conventions"} <= set(dataset.attrs)
 
 
 def test_what_keeps_no_settings_is_said(outputs, tmp_path, capsys):

@@ -12,7 +12,7 @@ import pytest
 import cloudtomo_cl as ct
 from cloudtomo_cl.commands.cli import main
 from cloudtomo_cl.errors import DataError, DeviceError, TransportError
-from cloudtomo_cl.transport.derivatives import RadianceField
+from cloudtomo_cl.transport.derivatives import RadianceTable
 
 STAGES = (
     ct.Stage(grid=(3, 3, 3), pixels=0.5, samples=8, iterations=4),
@@ -198,7 +198,7 @@ def read_bits(folder):
 
 def test_a_run_that_fails_goes_on_with_the_same_bits(folder, monkeypatch, capsys):
     assert main([*COMMAND[:-1], "whole", NO_REPORT]) == 0
-    original, calls = RadianceField.jacobian, []
+    original, calls = RadianceTable.jacobian, []
 
     def fail(self, *arguments):
         calls.append(1)
@@ -206,7 +206,7 @@ def test_a_run_that_fails_goes_on_with_the_same_bits(folder, monkeypatch, capsys
             raise DeviceError("the device fell off the bus")
         return original(self, *arguments)
 
-    monkeypatch.setattr(RadianceField, "jacobian", fail)
+    monkeypatch.setattr(RadianceTable, "jacobian", fail)
     assert main(COMMAND) == 2
     message = capsys.readouterr().err
     assert "fell off the bus" in message and "--resume" in message and "checkpoint.npz" in message
@@ -254,7 +254,7 @@ def test_a_resume_that_cannot_be_touches_nothing(folder, capsys, change, message
 
 
 def test_a_gradient_that_is_no_number_names_its_voxel(problem, device, monkeypatch):
-    original = RadianceField.gradient
+    original = RadianceTable.gradient
 
     def spoilt(self, *arguments):
         values, tangent = original(self, *arguments)
@@ -263,20 +263,20 @@ def test_a_gradient_that_is_no_number_names_its_voxel(problem, device, monkeypat
         values.set(host)
         return values, tangent
 
-    monkeypatch.setattr(RadianceField, "gradient", spoilt)
-    with pytest.raises(TransportError, match=r"gradient is not finite at voxel \(1, 2, 0\).*stage 0, iteration 0"):
+    monkeypatch.setattr(RadianceTable, "gradient", spoilt)
+    with pytest.raises(TransportError, match=r"gradient is not finite at voxel \(1, 2, 0\).*stream 1"):
         recover(problem, device, solver=ct.Adam())
 
 
 def test_a_derivative_that_is_no_number_is_not_passed_over(problem, device, monkeypatch):
     """A minimiser that meets NaN may return where it began."""
-    original = RadianceField.jacobian
+    original = RadianceTable.jacobian
 
     def spoilt(self, *arguments):
         values = original(self, *arguments)
         values[0, 0] = np.nan
         return values
 
-    monkeypatch.setattr(RadianceField, "jacobian", spoilt)
-    with pytest.raises(TransportError, match=r"gradient is not finite at voxel \(0, 0, 0\).*stage 0, iteration 0"):
+    monkeypatch.setattr(RadianceTable, "jacobian", spoilt)
+    with pytest.raises(TransportError, match=r"gradient is not finite at voxel \(0, 0, 0\).*stream 1"):
         recover(problem, device)

@@ -1,5 +1,6 @@
 """Checkpoints: they come back, and unfit ones are named."""
 
+import json
 import os
 import pickle
 from pathlib import Path
@@ -12,16 +13,16 @@ from cloudtomo_cl.files.whole import written_whole
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, read_checkpoint
 
 
-def some_checkpoint(**changes):
+def some_checkpoint(iterations=7, **changes):
     state = {"descent.mean": np.arange(6, dtype=np.float32).reshape(1, 2, 3) / 7, "mask": np.ones((1, 2, 3), bool)}
     fields = {
         "identity": {"seed": 3, "solver": {"step_size": 0.1}, "stage": [{"grid": [4, 4, 4]}], "mask": "sha256:ab"},
         "device": "a device",
         "stage": 1,
-        "iterations": 7,
+        "iterations": iterations,
         "seconds": 1 / 3,
         "stage_ends": [0.1],
-        "history": [{"stage": 0, "cost": 1 / 7, "epsilon": None}],
+        "history": [{"stage": 0, "cost": 1 / 7, "epsilon": None}, *({"stage": 1} for _ in range(iterations))],
         "state": state,
     }
     return Checkpoint(**{**fields, **changes})
@@ -126,6 +127,41 @@ def test_another_format_is_named(tmp_path, monkeypatch):
     monkeypatch.undo()
     with pytest.raises(DataError, match="has format 99"):
         read_checkpoint(tmp_path / "checkpoint.npz")
+
+
+def rewritten(path, header=None, arrays=None, drop=()):
+    """A checkpoint file with some of it changed."""
+    with np.load(path) as file:
+        parts = {name: file[name] for name in file.files if name not in drop}
+    parts |= arrays or {}
+    if header:
+        text = json.loads(bytes(parts["header"])) | header
+        parts["header"] = np.frombuffer(json.dumps(text).encode(), np.uint8)
+    with open(path, "wb") as file:
+        np.savez(file, **parts)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"drop": ["descent.mean"]}, "descent.mean is missing or not what was written"),
+        ({"drop": ["mask"]}, "mask is missing"),
+        ({"arrays": {"descent.mean": np.zeros(3)}}, "descent.mean is missing or not what was written"),
+        ({"arrays": {"other": np.zeros(3)}}, "other is missing or not what was written"),
+        ({"header": {"iterations": 2**40}}, "its history has 7 iterations of stage 1, it says 1099511627776"),
+        ({"header": {"stage": -1}}, "stage: Input should be greater than or equal to 0"),
+        ({"header": {"stage": "x"}}, "stage: Input should be a valid integer"),
+        ({"header": {"seconds": None}}, "seconds: Input should be a valid number"),
+        ({"header": {"history": "x"}}, "history: Input should be a valid"),
+        ({"header": {"more": 1}}, "more: Extra inputs are not permitted"),
+    ],
+)
+def test_parts_that_do_not_belong_together_are_refused(tmp_path, change, message):
+    path = tmp_path / "checkpoint.npz"
+    some_checkpoint().write(path)
+    rewritten(path, **change)
+    with pytest.raises(DataError, match=message):
+        read_checkpoint(path)
 
 
 def test_an_absent_checkpoint_is_named(tmp_path):

@@ -324,6 +324,7 @@ def test_the_cloud_itself_is_no_setting_of_a_reconstruction(folder):
         ),
         (RUN + "[optimizer]\ntype = 'adam'\n", "[optimizer] is now [solver]"),
         (RUN + "[optimizer]\nhalving = 3.0\n", "optimizer.halving is now solver.step_half_life"),
+        (RUN + "[prior]\nclear = 3.0\n", "prior.clear is now prior.sparsity_scale"),
         (RUN + "[solver]\ntype = 'adam'\nstep = 3.0\n", "solver.step is now solver.step_size"),
         (RUN + "[solver]\ntype = 'adam'\ngradient = 'field'\n", 'solver.gradient "field" is now'),
         (RUN + "[run]\ntime_limit = 0\n", "run.time_limit must be greater than 0, is 0"),

@@ -171,7 +171,8 @@ def test_kernels_build_from_a_folder_with_a_space(monkeypatch, tmp_path):
     (folder / "only_here.h").write_text("#define ONLY_HERE 1\n")
     monkeypatch.setattr("cloudtomo_cl.opencl.device.kernels_folder", lambda: folder)
     device = Device(cl.get_platforms()[0].get_devices()[0])
-    device.build('#include "only_here.h"\n#include "rng.h"\n__kernel void f(__global int *a) { a[0] = ONLY_HERE; }')
+    includes = '#include "only_here.h"\n#include "walk/rng.h"\n'
+    device.build(f"{includes}__kernel void f(__global int *a) {{ a[0] = ONLY_HERE; }}")
 
 
 def test_a_device_that_is_known_to_compute_wrongly_is_told(monkeypatch):

@@ -10,7 +10,7 @@ from cloudtomo_cl.commands.cli import COMMANDS, parser
 from cloudtomo_cl.settings.tables import read_reconstruct_settings, read_render_settings
 
 TOP = Path(__file__).parents[2]
-PAGES = [TOP / "README.md", *sorted((TOP / "docs").glob("*.md"))]
+PAGES = [TOP / "README.md", *sorted((TOP / "docs").rglob("*.md"))]
 
 
 def blocks(page, language=""):
@@ -61,8 +61,8 @@ def test_the_commands_of_the_help_are_understood(command):
         is_taken(line)
 
 
-def test_the_settings_of_the_readme_are_taken(folder):
-    scene, run = blocks(TOP / "README.md", "toml")
+def test_the_settings_of_the_first_recovery_are_taken(folder):
+    scene, run = blocks(TOP / "docs" / "tutorial" / "first-recovery.md", "toml")
     for name, text in (("scene.toml", scene), ("run.toml", run)):
         (folder / name).write_text(text)
     assert len(read_render_settings(folder / "scene.toml").view) == 2

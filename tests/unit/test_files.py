@@ -363,7 +363,7 @@ def test_a_variable_says_which_pixels_are_valid(tmp_path):
     valid[1, 3, 0] = 0
     data["valid"] = (("view", "row", "column"), valid)
     read = read_measurements(data)
-    assert read.bad_pixels == 1 and np.isnan(read.images[1][3, 0])
+    assert read.invalid_pixels == 1 and np.isnan(read.images[1][3, 0])
 
 
 def test_the_package_imports_without_xarray():

@@ -108,7 +108,7 @@ def test_errors_of_bad_pixels_mean_nothing(random):
     view = OrthographicView(zenith=0, width=1.0, pixels=(4, 5))
     image, error = np.ones((5, 4)), np.ones((5, 4))
     image[3, 2] = error[3, 2] = np.nan
-    assert Measurements((view,), (image,), (error,)).bad_pixels == 1
+    assert Measurements((view,), (image,), (error,)).invalid_pixels == 1
 
 
 def test_an_image_of_bad_pixels_alone_is_refused():

@@ -1,4 +1,4 @@
-"""The examples of docs/sensors.md are right."""
+"""The examples of docs/reference/sensors.md are right."""
 
 import re
 from pathlib import Path
@@ -10,7 +10,7 @@ from cloudtomo_cl.files.measurements import write_rays
 from cloudtomo_cl.scene import formations, sensors
 from cloudtomo_cl.settings.tables import read_render_settings, views
 
-PAGE = Path(__file__).parents[2] / "docs" / "sensors.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "sensors.md"
 TABLES = re.findall(r"```toml\n(.*?)```", PAGE.read_text(), flags=re.DOTALL)
 HEAD = '[cloud]\nfile = "cloud.nc"\n[sun]\nzenith = 60.0\n'
 RAYS = sensors.RayView([(0, 0, 1), (0.1, 0, 1)], [(0, 0, -1), (0, 0.1, -1)])

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from cloudtomo_cl.settings.reference_page import page, undocumented
 
-PAGE = Path(__file__).parents[2] / "docs" / "settings.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "settings.md"
 
 
 def test_the_page_is_up_to_date():

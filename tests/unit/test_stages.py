@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from cloudtomo_cl.inversion.solvers.descent import Adam
+from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.inversion.stages import automatic_stages, has_settled
 from cloudtomo_cl.scene.grid import Grid
 
@@ -20,13 +22,13 @@ def test_stages_grow():
 
 def test_descents_have_more_iterations_than_gauss_newton():
     grid = Grid(shape=(38, 38, 38), spacing=(1, 1, 1))
-    newton, adam = automatic_stages(grid), automatic_stages(grid, "adam")
+    newton, adam = automatic_stages(grid), automatic_stages(grid, Adam())
     assert all(10 * few.iterations < many.iterations for few, many in zip(newton, adam))
 
 
 def test_iterations_are_those_of_the_last_stage():
     grid = Grid(shape=(38, 38, 38), spacing=(1, 1, 1))
-    *before, last = automatic_stages(grid, iterations=77)
+    *before, last = automatic_stages(grid, GaussNewton(iterations=77))
     assert last.iterations == 77 and tuple(before) == automatic_stages(grid)[:-1]
 
 

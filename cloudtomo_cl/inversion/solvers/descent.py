@@ -17,7 +17,7 @@ from cloudtomo_cl.opencl.device import Device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import Count
 from cloudtomo_cl.scene.scene import NotNegative, Positive
-from cloudtomo_cl.transport.derivatives import RadianceField, table_footprint
+from cloudtomo_cl.transport.derivatives import RadianceTable, table_footprint
 from cloudtomo_cl.transport.radiance import Rendering
 
 PATHS_PER_ITERATION = 60_000
@@ -46,7 +46,7 @@ class DescentState:
     second_moment: np.ndarray
     steps: int
     image: AveragedImage
-    table: RadianceField | None
+    table: RadianceTable | None
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
@@ -99,7 +99,7 @@ class _Descent:
         start = np.maximum(np.asarray(extinction, np.float32), np.float32(self.floor))
         nothing = np.zeros_like(start)
         image = AveragedImage.empty(len(problem.active))
-        table = RadianceField(problem.operator) if self.gradient == "adjoint" else None
+        table = RadianceTable(problem.operator) if self.gradient == "adjoint" else None
         return DescentState(start, start, start, nothing, nothing, 0, image, table)
 
     def step(self, problem: Problem, state: DescentState, *, seed: int, stream: int) -> tuple[DescentState, Progress]:
@@ -111,7 +111,7 @@ class _Descent:
         """
         samples = problem.samples or max(2, 2 * round(PATHS_PER_ITERATION / len(problem.active) / 2))
         values = problem.on_grid(state.extinction)
-        rendering = problem.operator.render(values, samples, seed, stream, keep_paths=True)
+        rendering = problem.operator.render(values, samples, seed, stream, store_paths=True)
         window = self.image_average_window
         data = (rendering.halves, problem.radiance, problem.weights, problem.active.gains, window)
         cost, error = state.image.cost(*data)
@@ -156,13 +156,13 @@ class _Descent:
         device.launch(
             device.kernel("optimizer", self._kernel),
             gradient.size,
-            np.uint32(gradient.size),
-            extinction.data,
-            everywhere.data,
-            slope.data,
-            np.float32(length),
-            np.int32(self.parametrisation == "square-root"),
-            np.float32(self.floor),
+            gradient.size,
+            extinction,
+            everywhere,
+            slope,
+            length,
+            self.parametrisation == "square-root",
+            self.floor,
             *self._of_moments(moments, steps),
         )
         moved = extinction.get()
@@ -209,7 +209,7 @@ class Adam(_Descent):
     def _of_moments(self, moments: list[Any], steps: int) -> tuple[Any, ...]:
         betas = (self.beta1, self.beta2)
         corrections = (1 / (1 - beta**steps) for beta in betas)
-        return (*(moment.data for moment in moments), *map(np.float32, betas), *map(np.float32, corrections))
+        return (*moments, *betas, *corrections)
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))

@@ -1,0 +1,123 @@
+/* Derivatives by the radiance table: no collisions, no 1 / extinction.
+ *
+ * A little more of droplets at a point takes from the light that passes there, and scatters into its
+ * direction what comes from elsewhere. So along every flight of a path of throughput w, a crossing of
+ * l km in direction d adds w l (source(d) - radiance(d)) to the derivative of the pixel, with the
+ * source function that droplets there would have, and the way to the sun adds -l times the local
+ * estimate. Source and radiance come from the table, which the paths of all pixels fill. It is this
+ * pooling that takes the noise out; the table's cells are what biases it (docs/explanation/derivatives.md).
+ *
+ * The including file defines, before it includes this, the struct `Tally` with at least the members of
+ * walk/radiance.h and
+ *
+ *   float total;          the whole path's radiance, sr^-1
+ *   RadianceTable table;
+ *
+ * and what is done with a derivative of the path's radiance (sr^-1 km), by a voxel and its column of the table:
+ *
+ *   void tally_derivative(int index, int column, float derivative, bool is_first, Tally *tally)
+ *       is_first: it comes from the path's first flight
+ */
+#ifndef CLOUDTOMO_DERIVATIVES_H
+#define CLOUDTOMO_DERIVATIVES_H
+
+#include "radiance_table.h"
+#include "walk/estimate.h"
+#include "walk/replayed.h"
+
+/* What a flight deposits. */
+typedef struct {
+    float throughput;  /* with which the flight's radiance counts in the pixel: of the path, times the flight's share */
+    float sun_density; /* of scattering by droplets from the sun into the flight, sr^-1 */
+    int bin;           /* of its direction */
+    float weight;      /* of the flight as a sample for the table; 0: none */
+    float incident;    /* radiance x weight that it brings, sr^-1 */
+    bool is_first;     /* from the camera */
+} Payload;
+
+inline void deposit_crossing(int index, float length, Payload payload, Tally *tally)
+{
+    const RadianceTable *table = &tally->table;
+    const int column = table->column[index];
+    if (column < 0)
+        return;
+    const int place = column * DIRECTION_BINS + payload.bin;
+    const float source = table->scattered[place] + payload.sun_density * table->sunlight[column];
+    tally_derivative(index, column, length * (payload.throughput * source), payload.is_first, tally);
+    if (payload.weight > 0.0f) {
+        accumulate(table->sums + 2 * place, TABLE_UNIT * length * payload.weight);
+        accumulate(table->sums + 2 * place + 1, TABLE_UNIT * length * payload.incident);
+    }
+}
+
+#define TRAVERSAL fly_and_deposit
+#define TRAVERSAL_CONTEXT , Payload payload, Tally *tally
+#define CROSSES(index, length) deposit_crossing(index, length, payload, tally)
+#define SKIPS()
+#include "walk/traversal.h"
+
+/* Where a shadow ray takes from a local estimate. */
+inline void deposit_shadow(int index, float length, float radiance, Tally *tally)
+{
+    const int column = tally->table.column[index];
+    if (column >= 0)
+        tally_derivative(index, column, length * -radiance, false, tally);
+}
+
+#define TRAVERSAL fly_to_sun
+#define TRAVERSAL_CONTEXT , float radiance, Tally *tally
+#define CROSSES(index, length) deposit_shadow(index, length, radiance, tally)
+#define SKIPS()
+#include "walk/traversal.h"
+
+inline Flight tally_fly(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)
+{
+    return fly(medium, ray, segment->optical_depth);
+}
+
+/* What a flight brings is known at its end: it is flown again, to deposit. */
+inline void deposit_segment(const Medium *medium, const Segment *segment, float share, float weight, float incident,
+                            Tally *tally)
+{
+    Payload payload;
+    payload.throughput = share * segment->throughput;
+    payload.sun_density = sun_density(medium, segment->start.direction);
+    payload.bin = direction_bin(segment->start.direction);
+    payload.weight = weight;
+    payload.incident = incident;
+    payload.is_first = segment->event == 1u;
+    Ray ray = segment->start;
+    fly_and_deposit(medium, &ray, segment->optical_depth, payload, tally);
+}
+
+inline void tally_segment(const Medium *medium, const Segment *segment, const Flight *flight, Particle end, float share,
+                          float local_radiance, Tally *tally)
+{
+    float incident = 0.0f;
+    if (end != PARTICLE_NONE) {
+        /* Side flights have no part in what the surface reflects. */
+        const float part = end == PARTICLE_SURFACE ? 1.0f : share;
+        incident = local_radiance / part + remaining_radiance(tally->total, tally->radiance);
+    }
+    deposit_segment(medium, segment, share, segment->throughput, incident, tally);
+}
+
+/* Side flights do not go into the table: what they would bring is known for one more scattering only. */
+inline void tally_side_flight(const Medium *medium, const Segment *segment, const Flight *flight, Particle end,
+                              float share, float local_radiance, Tally *tally)
+{
+    deposit_segment(medium, segment, share, 0.0f, 0.0f, tally);
+}
+
+inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalEstimate *estimate, Tally *tally)
+{
+    if (!depends_on_shadow_ray(medium, estimate))
+        return;
+    Ray ray = shadow_ray(medium, from);
+    fly_to_sun(medium, &ray, INFINITY, estimate->radiance, tally);
+}
+
+#include "walk/unbudgeted.h"
+#include "walk/radiance.h"
+
+#endif

@@ -1,0 +1,80 @@
+/* Radiances: every work item walks one path; then every pixel sums its paths in order. */
+#include "walk/budget.h"
+#include "walk/event.h"
+
+typedef struct {
+    float radiance, own_share; /* of radiance.h */
+    Budget budget;
+} Tally;
+
+#include "walk/estimate.h"
+
+inline Flight tally_fly(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)
+{
+    return fly(medium, ray, segment->optical_depth);
+}
+
+inline void tally_segment(const Medium *medium, const Segment *segment, const Flight *flight, Particle end, float share,
+                          float local_radiance, Tally *tally)
+{
+}
+
+inline void tally_side_flight(const Medium *medium, const Segment *segment, const Flight *flight, Particle end,
+                              float share, float local_radiance, Tally *tally)
+{
+}
+
+inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalEstimate *estimate, Tally *tally)
+{
+    tally->budget.truncated += estimate->removed;
+}
+
+inline void on_absorption(const Medium *medium, const Interaction *at, float weight, Tally *tally)
+{
+    budget_absorption(&tally->budget, at->particle == PARTICLE_SURFACE, weight);
+}
+
+inline void on_roulette(float throughput, float raised, bool survives, Tally *tally)
+{
+    budget_roulette(&tally->budget, throughput, raised, survives);
+}
+
+inline void on_termination(Termination termination, float throughput, Tally *tally)
+{
+    budget_termination(&tally->budget, termination, throughput);
+}
+
+#include "walk/radiance.h"
+
+/* Path `sample_in_launch * pixel_count + pixel`: its radiance, for a sun of irradiance 1. */
+__kernel void render_paths(RENDER_PATHS_PARAMETERS)
+{
+    const size_t item = get_global_id(0);
+    if (item >= path_count)
+        return;
+    const uint path = path_of_item((uint)item, pixel_count, path_count);
+    const uint2 pixel = pixels[path % pixel_count];
+    const SampleKey key = {seed, stream, pixel.y, pixel.x, first_sample + (uint)(path / pixel_count)};
+    const Medium medium = make_medium(MEDIUM_ARGUMENTS);
+    Tally tally = {0.0f, 1.0f, empty_budget(budget)};
+    walk_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &tally);
+    path_radiance[path] = tally.radiance;
+}
+
+/* Adds paths of a launch, samples `begin` to `end` of it, to the pixels' sums, even and odd samples
+ * apart. Each pixel is summed by one work item in the order of its samples: the same bits however
+ * launches are cut. */
+__kernel void sum_paths(SUM_PATHS_PARAMETERS)
+{
+    const size_t pixel = get_global_id(0);
+    if (pixel >= pixel_count)
+        return;
+    PixelSums s = sums[pixel];
+    for (uint n = begin; n < end; ++n) {
+        const float radiance = path_radiance[(size_t)n * pixel_count + pixel];
+        const uint half_index = (first_sample + n) & 1u;
+        add_compensated(&s.half_sum[half_index], &s.half_low[half_index], radiance);
+        add_compensated(&s.square_sum, &s.square_low, radiance * radiance);
+    }
+    sums[pixel] = s;
+}

@@ -1,0 +1,32 @@
+/* The radiance table: diffuse radiance by voxel of a mask and bin of directions.
+ *
+ * Bins are rings around the vertical, cut into equal azimuths. The host defines DIRECTION_RINGS, DIRECTION_BINS
+ * and the values of the three tables of rings. */
+#ifndef CLOUDTOMO_RADIANCE_TABLE_H
+#define CLOUDTOMO_RADIANCE_TABLE_H
+
+#include "walk/accumulate.h"
+#include "walk/phase.h"
+
+__constant float ring_cosine[DIRECTION_RINGS + 1] = {RING_COSINES}; /* edges, from 1 down to -1 */
+__constant int ring_azimuths[DIRECTION_RINGS] = {RING_AZIMUTHS};
+__constant int ring_first[DIRECTION_RINGS] = {RING_FIRSTS};
+
+inline int direction_bin(float3 direction)
+{
+    int ring = 0;
+    while (ring < DIRECTION_RINGS - 1 && direction.z < ring_cosine[ring + 1])
+        ++ring;
+    float turn = atan2(direction.y, direction.x) * (0.5f * ONE_OVER_PI);
+    turn -= floor(turn);
+    return ring_first[ring] + min((int)(turn * (float)ring_azimuths[ring]), ring_azimuths[ring] - 1);
+}
+
+typedef struct {
+    const __global int *column;      /* of every voxel in the table, or -1 */
+    const __global float *scattered; /* [column][bin]: source - radiance, sr^-1 */
+    const __global float *sunlight;  /* [column]: direct, share of the irradiance */
+    volatile __global Accumulator *sums; /* [column][bin][2]: km, sr^-1 km; what paths bring for the next table */
+} RadianceTable;
+
+#endif

@@ -1,0 +1,103 @@
+/* The random walk: flights, collisions and surfaces, one after the other.
+ *
+ * It knows nothing of what is computed. The including file defines, before it includes this, the struct
+ * `Tally` and what happens at every step, as inline functions:
+ *
+ *   Flight on_flight(medium, Ray *ray, const Segment *segment, tally)
+ *       samples a free path: moves the ray as `fly` does (flight.h), or as a traversal of its own (traversal.h)
+ *   void on_leaving(medium, const Segment *segment, const Flight *flight, const Ray *ray, Termination termination,
+ *                   bool ends, tally)
+ *       the path has left all that scatters, at `ray`; it ends there, or goes on to the surface
+ *   void on_interaction(medium, const Segment *segment, const Flight *flight, const Interaction *at, tally)
+ *       the segment ends in a collision, or at the surface
+ *   void on_scattering(medium, const Interaction *at, float3 new_direction, const SampleKey *key, tally)
+ *       the path goes on from there
+ *   void on_absorption(medium, const Interaction *at, float weight, tally)
+ *       what the path's throughput has lost there
+ *   void on_roulette(float throughput, float raised, bool survives, tally)
+ *       between a throughput of `raised`, and the path's end
+ *   void on_termination(Termination termination, float throughput, tally)
+ *       the path's end, with what is left of its throughput
+ *
+ * radiance.h defines the first four for paths from cameras, flux.cl all for photons from the sun; unbudgeted.h
+ * has the last three empty. Radiances inside a path are for a sun of irradiance 1; the host scales them.
+ */
+#ifndef CLOUDTOMO_PATH_H
+#define CLOUDTOMO_PATH_H
+
+#include "walk/event.h"
+
+/* Paths of less throughput are continued with probability throughput / PATH_ROULETTE_THROUGHPUT. */
+#define PATH_ROULETTE_THROUGHPUT 0.1f
+
+/* Whether a ray that has left all that scatters goes down to a surface that reflects. */
+inline bool meets_surface(const __constant Scene *scene, const Ray *ray)
+{
+    return scene->surface_albedo > 0.0f && ray->direction.z < 0.0f && !ray->inside;
+}
+
+inline void move_to_surface(const __constant Scene *scene, Ray *ray)
+{
+    const float3 spacing = grid_spacing(scene);
+    const float height = ray->position.z * spacing.z + scene->base_height; /* km above ground */
+    ray->position += greater(height, 0.0f) / -ray->direction.z * ray->direction / spacing;
+    ray->position.z = -scene->base_height / spacing.z;
+}
+
+/* How a path ends that meets nothing any more. */
+inline Termination termination_of(const __constant Scene *scene, const Ray *ray, const Flight *flight)
+{
+    if (flight->lost)
+        return TERMINATION_LOST;
+    if (!scene->periodic && (flight->through_side || !flight->met_grid))
+        return flight->met_grid ? TERMINATION_SIDES : TERMINATION_MISSED;
+    return ray->direction.z > 0.0f ? TERMINATION_TOP : TERMINATION_BOTTOM;
+}
+
+/* Walks a whole path from its first ray. */
+inline void walk_path(const Medium *medium, Ray first_ray, const SampleKey *key, Tally *tally)
+{
+    const __constant Scene *scene = medium->scene;
+    Interaction at; /* the last; its ray is where the path is */
+    at.ray = first_ray;
+    at.throughput = 1.0f;
+    for (at.event = 1u;; ++at.event) {
+        const float4 u = uniforms(key, at.event * BLOCKS_PER_EVENT + BLOCK_EVENT);
+        const float4 v = uniforms(key, at.event * BLOCKS_PER_EVENT + BLOCK_ROULETTE);
+        const Segment segment = {at.ray, -logarithm(u.x), at.throughput, at.event};
+        const Flight flight = on_flight(medium, &at.ray, &segment, tally);
+        if (flight.collided) {
+            at.particle = choose_particle(medium, flight.droplets, flight.air, flight.index, u.y, v.w, &at.albedo);
+        } else {
+            const Termination termination = termination_of(scene, &at.ray, &flight);
+            const bool ends = termination == TERMINATION_LOST || !meets_surface(scene, &at.ray);
+            on_leaving(medium, &segment, &flight, &at.ray, termination, ends, tally);
+            if (ends) {
+                on_termination(termination, at.throughput, tally);
+                return;
+            }
+            move_to_surface(scene, &at.ray);
+            at.particle = PARTICLE_SURFACE;
+            at.albedo = scene->surface_albedo;
+        }
+        at.u_estimate = v.x;
+        at.u_side_flights = v.z;
+        on_absorption(medium, &at, at.throughput * (1.0f - at.albedo), tally);
+        at.throughput *= at.albedo;
+        on_interaction(medium, &segment, &flight, &at, tally);
+        if (at.throughput < PATH_ROULETTE_THROUGHPUT) {
+            const bool survives = v.y * PATH_ROULETTE_THROUGHPUT < at.throughput;
+            on_roulette(at.throughput, PATH_ROULETTE_THROUGHPUT, survives, tally);
+            if (!survives) {
+                on_termination(TERMINATION_KILLED, at.throughput, tally);
+                return;
+            }
+            at.throughput = PATH_ROULETTE_THROUGHPUT;
+        }
+        const float3 new_direction = sample_scatter(medium, at.particle, at.ray.direction, u.zw);
+        on_scattering(medium, &at, new_direction, key, tally);
+        at.ray.direction = new_direction;
+    }
+}
+
+#endif

@@ -1,0 +1,121 @@
+/* Radiance by paths from the cameras (backward Monte Carlo): every interaction adds a local estimate of the
+ * sunlight, and side flights add the next order's.
+ *
+ * The including file defines, before it includes this, the struct `Tally` with at least
+ *
+ *   float radiance;   local estimates so far, sr^-1; starts as 0
+ *   float own_share;  the path's part in its next collision's estimate; starts as 1
+ *
+ * and what is done with the pieces of a path, as inline functions:
+ *
+ *   Flight tally_fly(medium, Ray *ray, const Segment *segment, tally)
+ *       as on_flight of path.h; tally->radiance is what the path has gathered before
+ *   void tally_segment(medium, const Segment *segment, const Flight *flight, Particle end, float share,
+ *                      float local_radiance, tally)
+ *       the end of one of the path's own flights, in `end` (PARTICLE_NONE: it left). `local_radiance` is the
+ *       local estimate there (sr^-1), which is in tally->radiance by now; of a collision's estimate the segment
+ *       has the part `share`, the rest is the side flights'. Called after tally_shadow_ray
+ *   void tally_side_flight(medium, const Segment *segment, const Flight *flight, Particle end, float share,
+ *                          float local_radiance, tally)
+ *       the same of a side flight; its local estimate is not yet in tally->radiance. Called before tally_shadow_ray
+ *   void tally_shadow_ray(medium, const Ray *from, const LocalEstimate *estimate, tally)
+ *       a local estimate has been made
+ *
+ * and on_absorption, on_roulette and on_termination of path.h. A tally that flies a segment again, to leave
+ * something behind where it crosses, does so by a traversal of its own (traversal.h).
+ */
+#ifndef CLOUDTOMO_RADIANCE_H
+#define CLOUDTOMO_RADIANCE_H
+
+#include "walk/camera.h"
+#include "walk/estimate.h"
+
+/* Side flights aimed at the sun: expected number per unit of throughput x phase function (sr),
+ * its bounds, and the threshold of the roulette on local estimates (sr^-1). Found by
+ * measurement: docs/explanation/radiance.md. */
+#define SIDE_FLIGHT_RATE 6.0f
+#define SIDE_FLIGHT_LEAST 0.05f
+#define SIDE_FLIGHT_MOST 6.0f
+#define LOCAL_ESTIMATE_ROULETTE 0.03f
+
+/* Side flights: from a collision, flights in directions drawn around the sun estimate the
+ * next order's sunlight, combined with the path's own next collision by the balance heuristic
+ * (Veach and Guibas 1995); they take the load of the rare, huge local estimates that a
+ * forward peak gives. `count` is their expected number. */
+static void side_flights(const Medium *medium, const Interaction *at, float count, const SampleKey *key, Tally *tally)
+{
+    const float3 sun = sun_direction(medium->scene);
+    const uint flights = (uint)(count + at->u_side_flights);
+    for (uint n = 0; n < flights; ++n) {
+        const uint block = at->event * BLOCKS_PER_EVENT + BLOCK_SIDE + 2u * n;
+        const float4 v = uniforms(key, block);
+        const float2 w = uniforms(key, block + 1u).xy;
+        Ray ray = at->ray;
+        ray.direction = sample_around_sun(medium, v.zw);
+        const float density = scatter_density(medium, at->particle, at->ray.direction, ray.direction);
+        if (!(density > 0.0f))
+            continue;
+        const Segment segment = {ray, -logarithm(v.x), at->throughput, at->event + 1u};
+        const float share = density / (density + count * sun_density(medium, ray.direction));
+        const Flight flight = fly(medium, &ray, segment.optical_depth);
+        if (!flight.collided) {
+            tally_side_flight(medium, &segment, &flight, PARTICLE_NONE, share, 0.0f, tally);
+            continue;
+        }
+        float albedo;
+        const Particle end = choose_particle(medium, flight.droplets, flight.air, flight.index, v.y, w.y, &albedo);
+        const float weight = at->throughput * albedo * share * scatter_density(medium, end, ray.direction, sun);
+        const LocalEstimate estimate = local_estimate(medium, &ray, weight, LOCAL_ESTIMATE_ROULETTE, w.x);
+        tally_side_flight(medium, &segment, &flight, end, share, estimate.radiance, tally);
+        tally_shadow_ray(medium, &ray, &estimate, tally);
+        tally->radiance += estimate.radiance;
+    }
+}
+
+inline Flight on_flight(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)
+{
+    return tally_fly(medium, ray, segment, tally);
+}
+
+inline void on_leaving(const Medium *medium, const Segment *segment, const Flight *flight, const Ray *ray,
+                       Termination termination, bool ends, Tally *tally)
+{
+    if (ends)
+        tally_segment(medium, segment, flight, PARTICLE_NONE, tally->own_share, 0.0f, tally);
+}
+
+inline void on_interaction(const Medium *medium, const Segment *segment, const Flight *flight, const Interaction *at,
+                           Tally *tally)
+{
+    const __constant Scene *scene = medium->scene;
+    const bool on_surface = at->particle == PARTICLE_SURFACE;
+    const float share = tally->own_share;
+    const float weight = (on_surface ? 1.0f : share) * at->throughput
+                         * scatter_density(medium, at->particle, at->ray.direction, sun_direction(scene));
+    /* What a camera sees directly, and the ground, stay free of the roulette's noise. */
+    const bool plays = scene->side_flights && at->event > 1u && !on_surface;
+    const LocalEstimate estimate =
+        local_estimate(medium, &at->ray, weight, plays ? LOCAL_ESTIMATE_ROULETTE : 0.0f, at->u_estimate);
+    tally_shadow_ray(medium, &at->ray, &estimate, tally);
+    tally->radiance += estimate.radiance;
+    tally_segment(medium, segment, flight, at->particle, share, estimate.radiance, tally);
+    tally->own_share = 1.0f;
+}
+
+inline void on_scattering(const Medium *medium, const Interaction *at, float3 new_direction, const SampleKey *key,
+                          Tally *tally)
+{
+    const __constant Scene *scene = medium->scene;
+    if (!scene->side_flights)
+        return;
+    const float3 direction = at->ray.direction;
+    const float wide = henyey_greenstein(scalar_product(direction, sun_direction(scene)), scene->wide_g);
+    const float count = within(SIDE_FLIGHT_RATE * at->throughput * wide, SIDE_FLIGHT_LEAST, SIDE_FLIGHT_MOST);
+    side_flights(medium, at, count, key, tally);
+    const float density = scatter_density(medium, at->particle, direction, new_direction);
+    tally->own_share = density / (density + count * sun_density(medium, new_direction));
+}
+
+#include "walk/path.h"
+
+#endif

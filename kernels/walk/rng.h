@@ -1,0 +1,48 @@
+/* Uniform numbers as a function of what a sample is, never of where it runs.
+ *
+ * Philox4x32-10 (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3"),
+ * key = (seed, stream), counter = (pixel, view, sample, block): every block of four
+ * numbers has its own counter, so any range of samples can be computed anywhere, in any
+ * order, with the same paths.
+ */
+#ifndef CLOUDTOMO_RNG_H
+#define CLOUDTOMO_RNG_H
+
+#include <pyopencl-random123/philox.cl>
+
+typedef struct {
+    uint seed;
+    uint stream;
+    uint pixel;   /* row * width + column, within its view */
+    uint view;
+    uint sample;
+} SampleKey;
+
+/* The view of the photons that start in the sun. */
+#define SUN_VIEW 0xFFFFFFFFu
+
+/* Blocks of a path: block 0 places the ray in its pixel; event k = 1, 2, ... has the
+ * BLOCKS_PER_EVENT blocks from k * BLOCKS_PER_EVENT on. Inside an event: */
+#define BLOCKS_PER_EVENT 64u
+#define BLOCK_EVENT      0u /* free path, particle, scattering cosine, azimuth */
+#define BLOCK_ROULETTE   1u /* local estimate, path, number of side flights, row of the phase table */
+#define BLOCK_SIDE       2u /* side flight n: blocks 2 + 2 n and 3 + 2 n */
+
+/* 32 random bits -> a float in the open interval (0, 1). (float)bits may round up to
+ * 2^32, hence the clamp to the largest float below 1: -log(u) is never 0 nor infinite. */
+inline float open_uniform(uint bits)
+{
+    const float scaled = ((float)bits + 0.5f) * 2.3283064365386963e-10f;
+    return scaled < 0.99999994f ? scaled : 0.99999994f;
+}
+
+inline float4 uniforms(const SampleKey *key, uint block)
+{
+    philox4x32_key_t k = {{key->seed, key->stream}};
+    philox4x32_ctr_t c = {{key->pixel, key->view, key->sample, block}};
+    philox4x32_ctr_t r = philox4x32(c, k);
+    return (float4)(open_uniform(r.v[0]), open_uniform(r.v[1]),
+                    open_uniform(r.v[2]), open_uniform(r.v[3]));
+}
+
+#endif

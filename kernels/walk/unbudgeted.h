@@ -1,0 +1,11 @@
+/* For tallies that keep no energy budget: a path that is replayed has gone through the audit before. */
+#ifndef CLOUDTOMO_UNBUDGETED_H
+#define CLOUDTOMO_UNBUDGETED_H
+
+#include "walk/event.h"
+
+inline void on_absorption(const Medium *medium, const Interaction *at, float weight, Tally *tally) {}
+inline void on_roulette(float throughput, float raised, bool survives, Tally *tally) {}
+inline void on_termination(Termination termination, float throughput, Tally *tally) {}
+
+#endif

@@ -1,0 +1,226 @@
+"""The public core: problems, linear models, priors and solvers of a user's own."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+import cloudtomo_cl as ct
+from cloudtomo_cl.errors import DataError
+
+GRID = ct.Grid(shape=(6, 5, 7), spacing=(0.1, 0.1, 0.08))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return ct.Scene(grid=GRID, sun=ct.Sun(zenith=30.0))
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return ct.cumulus(GRID, seed=3, peak=20.0)
+
+
+@pytest.fixture(scope="module")
+def measurements(scene, truth, device):
+    views = tuple(
+        ct.OrthographicView(zenith=zenith, azimuth=azimuth, width=0.9, pixels=(10, 10))
+        for zenith, azimuth in [(0, 0), (45, 60), (45, 240)]
+    )
+    operator = ct.RadianceOperator(scene, views, device)
+    return ct.Measurements.rendered(operator, operator.render(truth, 256, seed=1))
+
+
+@pytest.fixture(scope="module")
+def problem(scene, measurements, truth, device):
+    return ct.Problem.of(scene, measurements, mask=truth > 0, device=device)
+
+
+@pytest.fixture(scope="module")
+def model(problem, truth):
+    return problem.linearise(truth[problem.mask], samples=16, seed=2, stream=3)
+
+
+def test_a_model_has_the_shapes_of_its_problem(problem, model):
+    assert model.jacobian.shape == (len(problem.pixels), len(problem.voxels)) and problem.pixels.shape[1] == 2
+    assert problem.radiance.shape == problem.weights.shape == model.image.shape == (len(problem.pixels),)
+    assert problem.mask.sum() == len(problem.voxels) == len(model.x0)
+
+
+def test_the_transpose_is_the_transpose(model, random):
+    """<J x, y> = <x, J^T y>, to the rounding of single precision."""
+    x, y = random.normal(size=model.jacobian.shape[1]), random.normal(size=model.jacobian.shape[0])
+    forward = np.dot((model.jacobian @ x).astype(float), y)
+    assert forward == pytest.approx(np.dot(x, (model.jacobian.T @ y).astype(float)), rel=1e-4)
+
+
+def test_products_with_columns_are_those_with_each(model, random):
+    x = random.normal(size=(model.jacobian.shape[1], 3))
+    columns = np.column_stack([model.jacobian @ column for column in x.T])
+    np.testing.assert_allclose(model.jacobian @ x, columns, rtol=1e-3, atol=1e-5 * np.abs(columns).max())
+
+
+def test_the_curvature_is_the_diagonal(problem, model):
+    identity = np.eye(model.jacobian.shape[1])
+    matrix = np.asarray(model.jacobian @ identity, float)
+    expected = problem.weights @ matrix**2
+    np.testing.assert_allclose(model.jacobian.curvature(problem.weights), expected, rtol=1e-4)
+
+
+def test_products_change_nothing(model, random):
+    x = random.normal(size=model.jacobian.shape[1])
+    first = model.jacobian @ x
+    _ = model.jacobian.T @ first
+    np.testing.assert_array_equal(model.jacobian @ x, first)
+
+
+def test_the_same_seed_and_stream_give_the_same_model(problem, model, truth, random):
+    again = problem.linearise(truth[problem.mask], samples=16, seed=2, stream=3)
+    x = random.normal(size=model.jacobian.shape[1])
+    np.testing.assert_array_equal(again.image, model.image)
+    np.testing.assert_array_equal(again.jacobian @ x, model.jacobian @ x)
+
+
+def test_another_stream_gives_another_model(problem, model, truth):
+    other = problem.linearise(truth[problem.mask], samples=16, seed=2, stream=4)
+    assert (other.image != model.image).any()
+
+
+def test_a_model_is_linear_around_its_extinction(model, random):
+    step = random.uniform(0, 0.1, len(model.x0))
+    np.testing.assert_array_equal(model(model.x0), model.image)
+    np.testing.assert_allclose(model(model.x0 + step) - model.image, model.jacobian @ step, atol=1e-7)
+
+
+def test_value_and_gradient_repeat_themselves(problem, truth):
+    x = 0.8 * truth[problem.mask]
+    first, second = (problem.value_and_gradient(x, samples=16, seed=1, stream=2) for _ in range(2))
+    assert first[0] == second[0] and np.array_equal(first[1], second[1])
+
+
+def test_the_gradient_points_towards_the_truth(problem, truth):
+    """Of too thin a cloud: the cost falls where extinction grows. The slope is 1,000 times its noise."""
+    x = 0.5 * truth[problem.mask]
+    _, gradient = problem.value_and_gradient(x, samples=64, seed=1, stream=2)
+    assert gradient @ (truth[problem.mask] - x) < 0
+
+
+@pytest.mark.parametrize("shape", [(3,), (4, 5, 6)])
+def test_an_extinction_of_another_shape_is_refused(problem, shape):
+    with pytest.raises(DataError, match="the voxels of the mask"):
+        problem.linearise(np.ones(shape), samples=2)
+
+
+def test_a_coarser_grid_has_fewer_voxels(scene, measurements, truth, device):
+    coarse = ct.Problem.of(scene, measurements, mask=truth > 0, grid=(3, 3, 4), device=device)
+    assert coarse.mask.shape == (3, 3, 4) == coarse.grid.shape and coarse.grid.extent == pytest.approx(GRID.extent)
+
+
+def test_without_a_mask_space_is_carved(scene, measurements, device):
+    carved = ct.Problem.of(scene, measurements, device=device)
+    operator = ct.RadianceOperator(scene, measurements.views, device, estimator="plain")
+    clear = ct.Measurements.rendered(operator, operator.render(np.zeros(GRID.shape), 16))
+    np.testing.assert_array_equal(carved.mask, ct.carve(GRID, measurements, clear))
+
+
+STAGES = (ct.Stage(grid=(6, 5, 7), samples=16, iterations=3),)
+
+
+def recover(scene, measurements, device, **options):
+    return ct.reconstruct(scene, measurements, **{"stages": STAGES, "device": device, "seed": 2, **options})
+
+
+def test_python_carves_as_problems_do(scene, measurements, device):
+    mask = ct.Problem.of(scene, measurements, device=device).mask
+    first, second = (recover(scene, measurements, device, mask=given) for given in (None, mask))
+    np.testing.assert_array_equal(first.extinction, second.extinction)
+
+
+class Ridge:
+    """Minus the logarithm of a Gaussian of width 1 / sqrt(weight) around 0."""
+
+    def __init__(self, weight):
+        self.weight = weight
+
+    def value_and_gradient(self, extinction, voxels):
+        assert extinction.shape == (len(voxels),)
+        return self.weight / 2 * np.sum(extinction**2), self.weight * extinction
+
+    def curvature(self, extinction, voxels):
+        return np.full(len(voxels), self.weight)
+
+
+def test_an_own_prior_pulls(scene, measurements, device, truth):
+    free, pulled = (
+        recover(scene, measurements, device, mask=truth > 0, prior=Ridge(weight)).extinction.sum()
+        for weight in (1e-6, 1e3)
+    )
+    assert pulled < 0.1 * free
+
+
+def test_an_own_prior_of_another_shape_is_refused(scene, measurements, device, truth):
+    class Wrong(Ridge):
+        def value_and_gradient(self, extinction, voxels):
+            return 0.0, extinction[:-1]
+
+    with pytest.raises(DataError, match="the gradient of the prior Wrong has shape"):
+        recover(scene, measurements, device, mask=truth > 0, prior=Wrong(1.0))
+
+
+def test_what_is_no_prior_is_refused(scene, measurements, device, truth):
+    with pytest.raises(DataError, match="prior is a float: give a Prior, or an object with"):
+        recover(scene, measurements, device, mask=truth > 0, prior=3.0)
+
+
+@dataclass(frozen=True)
+class State:
+    """Of a solver that goes half of the way towards a given cloud."""
+
+    extinction: np.ndarray
+    steps: int = 0
+
+    @property
+    def estimate(self):
+        return self.extinction
+
+
+class HalfWay:
+    def __init__(self, aim):
+        self.aim = aim
+
+    def __repr__(self):
+        return "HalfWay()"
+
+    def init(self, problem, extinction):
+        return State(np.array(extinction, float))
+
+    def step(self, problem, state, *, seed, stream):
+        aim = self.aim[problem.mask]
+        cost, _ = problem.value_and_gradient(state.extinction, samples=2, seed=seed, stream=stream)
+        moved = replace(state, extinction=(state.extinction + aim) / 2, steps=state.steps + 1)
+        return moved, ct.Progress(cost, 1.0, 0.0, 2 * len(problem.pixels))
+
+
+def test_an_own_solver_is_stepped(scene, measurements, device, truth):
+    result = recover(scene, measurements, device, mask=truth > 0, solver=HalfWay(truth), truth=truth)
+    np.testing.assert_allclose(result.extinction, np.where(truth > 0, truth + (2.0 - truth) / 8, 0), rtol=1e-5)
+    assert [record.paths for record in result.history] == [2 * n * len(
+        ct.Problem.of(scene, measurements, mask=truth > 0, device=device).pixels) for n in (1, 2, 3)]  # fmt: skip
+
+
+def test_an_own_solver_goes_on_from_a_checkpoint(scene, measurements, device, truth):
+    taken = []
+    solver = HalfWay(truth)
+    whole = recover(scene, measurements, device, mask=truth > 0, solver=solver)
+    recover(scene, measurements, device, mask=truth > 0, solver=solver, checkpoint=taken.append, stop=lambda: True)
+    resumed = recover(scene, measurements, device, solver=solver, resume=taken[-1])
+    np.testing.assert_array_equal(resumed.extinction, whole.extinction)
+
+
+def test_old_names_are_answered_with_the_new(scene, measurements, device):
+    with pytest.raises(DataError, match="the argument optimizer is now solver: a GaussNewton, Adam or SGD"):
+        recover(scene, measurements, device, optimizer=None)
+    with pytest.raises(AttributeError, match="cloudtomo_cl.Optimizer is now GaussNewton, Adam or SGD"):
+        _ = ct.Optimizer
+    with pytest.raises(TypeError, match="unexpected keyword argument 'opt'"):
+        recover(scene, measurements, device, opt=None)
