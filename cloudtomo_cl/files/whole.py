@@ -126,13 +126,13 @@ def reason(error: OSError, folder: Path) -> str:
         free = shutil.disk_usage(folder).free
     # The netCDF library tells of any failure as of one in the file's format.
     if free is not None and free < _FULL:
-        return f"the disk of {_mount(folder)} is full, {size_text(free)} are free: make room, or choose another folder"
+        return f"the disk of {disk_of(folder)} is full, {size_text(free)} are free: make room, or choose another folder"
     if error.errno in _NO_ROOM:
-        return f"{error.strerror} for us on the disk of {_mount(folder)}: make room, or choose another folder"
+        return f"{error.strerror} for us on the disk of {disk_of(folder)}: make room, or choose another folder"
     return f"{error.strerror or error}: check its folder, permissions and disk"
 
 
-def _mount(folder: Path) -> Path:
+def disk_of(folder: Path) -> Path:
     """Where the disk of a folder is mounted."""
     folder = folder.absolute()
     return next((parent for parent in (folder, *folder.parents) if os.path.ismount(parent)), folder)
