@@ -1,4 +1,4 @@
-"""Ends small runs of every command at random moments, in every way in which programs are ended, and looks at what is left.
+"""Ends small runs of every command at random moments, in all ways that programs are ended, and looks at what is left.
 
     python scripts/kill_and_resume.py [--kills 200] [--seed 0] [--folder DIR] [--table FILE.md]
 
@@ -78,11 +78,11 @@ PROGRAM = (
     "from cloudtomo_cl.__main__ import main; sys.exit(main())"
 )
 COMMANDS = {
-    "cloud": "cloud --generate cumulus --shape 6 6 6 --spacing 0.16 0.16 0.16 --seed 3 --output made.nc --overwrite",
-    "cloud --png": "cloud cloud.nc --png made.png --overwrite",
-    "init": "init reconstruct --output made.toml --overwrite",
-    "render --png": "render scene.toml --samples 512 --output made.nc --png previews --overwrite",
-    "flux": "flux scene.toml --photons 300000 --output made.nc --overwrite",
+    "cloud": "cloud --generate cumulus --shape 6 6 6 --spacing 0.16 0.16 0.16 --seed 3 --output made_cloud.nc --overwrite",
+    "cloud --png": "cloud cloud.nc --png made_cloud.png --overwrite",
+    "init": "init reconstruct --output made_run.toml --overwrite",
+    "render --png": "render scene.toml --samples 512 --output made_images.nc --png previews --overwrite",
+    "flux": "flux scene.toml --photons 300000 --output made_fluxes.nc --overwrite",
     "reconstruct": "reconstruct run.toml --no-report --resume --output run",
     "report": "report finished",
 }
@@ -97,7 +97,9 @@ WAYS = {
     "STOP, CONT": (0,),
     "terminal closed": (129, -signal.SIGHUP),
 }
-OTHERS = ("notes.txt", ".draft.partial", "figures/mine.png", "run/figures/mine.pdf", "run/.draft.partial", "finished/x.png")
+OTHERS = (
+    "notes.txt", ".draft.partial", "figures/mine.png", "run/figures/mine.pdf", "run/.draft.partial", "finished/mine.png"
+)  # fmt: skip
 _HANGS = 90.0
 
 
@@ -183,7 +185,7 @@ class Bench:
             names = ("*.nc", "*.html", "figures/*.p*")
             paths = [path for pattern in names for path in folder.glob(pattern)]
         else:
-            paths = [self.folder / word for word in COMMANDS[name].split() if word.startswith("made.")]
+            paths = [self.folder / word for word in COMMANDS[name].split() if word.startswith("made_")]
             paths += sorted(self.folder.glob("previews/*.png")) if "previews" in COMMANDS[name] else []
         return [path for path in paths if path.relative_to(self.folder).as_posix() not in OTHERS]
 
@@ -234,7 +236,7 @@ class Bench:
     def look(self, name: str, way: str) -> None:
         """Every file is whole and has its bits; those of others are as they were."""
         for path in self.outputs(name):
-            # A reconstruction that was interrupted, or its images, are of an earlier iteration: that they are read counts.
+            # What was interrupted is of an earlier iteration: that it can be read counts.
             try:
                 if name == "reconstruct" and path.suffix == ".nc":
                     fine = ct.read_measurements(path) is not None and ct.read_extinction(path) is not None
@@ -365,7 +367,7 @@ def main() -> int:
         if left:
             bench.wrong.append(f"left in the end: {', '.join(left)}")
         inside = sum(count for (_, _, kind), count in bench.counts.items() if kind == "in a write")
-        text = f"{done} kills (seed {options.seed}), {inside} of them during a write, {bench.finished_runs} reconstructions"
+        text = f"{done} kills (seed {options.seed}), {inside} during a write, {bench.finished_runs} reconstructions"
         print(table(bench), text, *bench.wrong, sep="\n")
         if options.table is not None:
             options.table.write_text(f"{table(bench)}\n\n{text}: {len(bench.wrong)} faults\n")

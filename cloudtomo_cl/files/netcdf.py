@@ -75,11 +75,31 @@ def load_dataset(source: Source) -> xr.Dataset:
     except (DataError, MemoryError):
         raise
     except Exception as error:  # what a damaged file may raise has no end
+        if _is_locked(path):
+            raise DataError(
+                f"{path}: another program has it open for writing: close it there, or wait until it is written"
+            ) from None
         text = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise DataError(
             f"{path}: not a netCDF file, or damaged or cut short ({text}): check or copy it again; "
             f"clouds in other formats become netCDF by `cloudtomo cloud FILE --output cloud.nc`"
         ) from None
+
+
+def _is_locked(path: str | os.PathLike[str]) -> bool:
+    """Whether another program has locked a file, as the netCDF library does that writes it."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return False
+    try:
+        with open(path, "rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def _check_classic(path: str | os.PathLike[str]) -> None:

@@ -160,7 +160,9 @@ def _iterated(
     estimate = np.full(run.stages[0].grid, getattr(solver, "start", _START))
     while True:
         stage = run.stages[run.stage]
+        _LOGGER.info("stage %d of %d: building its kernels", run.stage + 1, len(run.stages))
         problem = question.at(stage)
+        _LOGGER.info("stage %d of %d: its first iteration", run.stage + 1, len(run.stages))
         state = solver.init(problem, resample_in_mask(estimate, problem.mask)[problem.mask])
         if resumed is not None:
             state, resumed = restored(state, resumed.solver_state), None
