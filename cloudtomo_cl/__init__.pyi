@@ -14,7 +14,7 @@ from .files.measurements import (
 )
 from .files.phase import read_droplet_table, read_phase_function, write_phase_function
 from .inversion.carving import carve
-from .inversion.linear_model import Jacobian, LinearModel
+from .inversion.linear_model import LinearModel
 from .inversion.priors import Prior, Regulariser
 from .inversion.problem import Problem
 from .inversion.reconstruct import reconstruct
@@ -41,6 +41,7 @@ from .scene.sensors import (
     RayView,
 )
 from .transport.flux import Fluxes, FluxOperator
+from .transport.jacobian import Jacobian
 from .transport.radiance import RadianceOperator, Rendering
 
 __all__ = [

@@ -39,3 +39,12 @@ class Interrupted(CloudtomoError):
 
 class MissingPackageError(CloudtomoError):
     """A package is not installed that only this needs; the text says how to install it."""
+
+
+# Control characters, of which a terminal makes colours, titles and worse; the end of a line and the tab stay.
+_CONTROLS = {code: f"\\x{code:02x}" for code in (*range(9), *range(11, 32), 127, *range(128, 160))}
+
+
+def printable(text: str) -> str:
+    """A text that a terminal shows and does not obey: control characters, as files may have them, are spelt out."""
+    return text.translate(_CONTROLS)

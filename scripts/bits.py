@@ -103,7 +103,12 @@ def of_table(operator: Any, rendering: Any, adjoint: np.ndarray, mask: np.ndarra
         gradient, tangent = table.gradient(rendering, adjoint, change)
         yield f"table gradient {turn}", digest(gradient)
         yield f"table tangent {turn}", digest(tangent)
-    yield "jacobian", digest(table.jacobian(rendering))
+    sums = found("JacobianSums")(operator)
+    sums.add(rendering, 1.0)
+    yield "jacobian: near", digest(sums._near)
+    yield "jacobian: far", digest(sums._far)
+    yield "jacobian: product", digest(sums.jacobian @ np.arange(mask.sum()))
+    yield "jacobian: transposed product", digest(sums.jacobian.T @ np.arange(len(operator.pixels)))
     for name, array in sorted(table.arrays().items()):
         yield f"table state: {name}", digest(array)
 

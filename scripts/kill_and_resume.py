@@ -78,7 +78,7 @@ PROGRAM = (
     "from cloudtomo_cl.__main__ import main; sys.exit(main())"
 )
 COMMANDS = {
-    "cloud": "cloud --generate cumulus --shape 6 6 6 --spacing 0.16 0.16 0.16 --seed 3 --output made_cloud.nc --overwrite",
+    "cloud": "cloud --generate cumulus --shape 6 6 6 --spacing 0.1 0.1 0.1 --output made_cloud.nc --overwrite",
     "cloud --png": "cloud cloud.nc --png made_cloud.png --overwrite",
     "init": "init reconstruct --output made_run.toml --overwrite",
     "render --png": "render scene.toml --samples 512 --output made_images.nc --png previews --overwrite",

@@ -7,16 +7,20 @@ brought to uniform ones so that the optical depth and the water path of every co
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 
 import numpy as np
 
-from cloudtomo_cl.clouds.netcdf import RADIUS_NAMES, WATER_NAMES, read_netcdf_cloud
-from cloudtomo_cl.clouds.quantities import UNIFORM, ReadingOptions, box_edges, cloud_volume, edges_between, field_kind
+from cloudtomo_cl.clouds.netcdf import read_netcdf_cloud
+from cloudtomo_cl.clouds.quantities import UNIFORM, Quantity, ReadingOptions, box_edges, cloud_volume, field_kind
+from cloudtomo_cl.clouds.text import read_text_cloud
 from cloudtomo_cl.clouds.volume import CloudVolume
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.files.netcdf import Source, name_of
+from cloudtomo_cl.files.netcdf import HARMLESS, LARGEST_COMPRESSION, Source, name_of, require_file
+from cloudtomo_cl.files.text import read_text
+from cloudtomo_cl.memory import require, size_text
 
 __all__ = ["ReadingOptions", "read_cloud"]
 
@@ -37,8 +41,10 @@ def read_cloud(source: Source, options: ReadingOptions | None = None) -> CloudVo
     """
     path, options = Path(name_of(source)), options or ReadingOptions()
     in_memory = not isinstance(source, (str, os.PathLike))
-    if not in_memory and not path.is_file():
-        raise DataError(f"{path}: no such file")
+    if options.missing not in ("refuse", "clear"):
+        raise DataError(f"missing is {options.missing!r}: it must be 'refuse' or 'clear'")
+    if not in_memory:
+        require_file(path)
     try:
         return read_netcdf_cloud(source, options) if in_memory else _read_any(path, options)
     except (DataError, MemoryError):
@@ -54,9 +60,13 @@ def _read_any(path: Path, options: ReadingOptions) -> CloudVolume:
     if start.startswith((b"CDF", b"\x89HDF")) and path.suffix != ".mat":
         return read_netcdf_cloud(path, options)
     if start.startswith(b"\x93NUMPY"):
-        return _read_array(path, np.load(path, allow_pickle=False), options)
+        return _read_array(path, "the array", _numpy_array(path), options)
     if path.suffix == ".mat":
-        return _read_array(path, _matlab_array(path, options), options)
+        return _read_array(path, *_matlab_array(path, options), options)
+    if start.startswith(b"PK"):
+        raise DataError(f"{path}: is an archive (zip, .npz): take the array or the file out of it")
+    if start.startswith(b"\x1f\x8b"):
+        raise DataError(f"{path}: is compressed: unpack it first (gunzip)")
     return _read_text(path, options)
 
 
@@ -64,67 +74,25 @@ def _read_any(path: Path, options: ReadingOptions) -> CloudVolume:
 
 
 def _read_text(path: Path, options: ReadingOptions) -> CloudVolume:
+    if options.order != "xyz":
+        raise DataError(f"{path}: --order {options.order} has no effect on text, which names its axes; leave it out")
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except UnicodeDecodeError:
+        text = read_text(path, latin=True)
+    except DataError as error:
         raise DataError(
-            f"{path}: is none of the known kinds of files: text, netCDF, .npy, .mat; see `cloudtomo cloud --help`"
+            f"{error}; it is none of the known kinds of files: text, netCDF, .npy, .mat; see `cloudtomo cloud --help`"
         ) from None
+    _refuse_dimensions(path, options)
     if ".tau." in path.name:
         return _read_columns(path, options)
-    if lines and "2 parameter lwc" in lines[0].lower():
-        header, rows, first = [lines[1], f"{lines[2]} {lines[3]}"], lines[5:], 1
-    else:
-        lines = [line for line in lines if not line.lstrip().startswith("#")]
-        if len(lines) > 3 and "," in lines[0]:
-            # AT3D: commas, the levels on their own line, then column names.
-            names = [name.strip() for name in lines[3].split(",")]
-            wanted = _at3d_columns(path, names)
-            header = [lines[0].replace(",", " "), f"{lines[1]},{lines[2]}".replace(",", " ")]
-            rows = [" ".join(np.array(line.split(","))[wanted]) for line in lines[4:] if line.strip()]
-            first = 0
-        else:
-            header, rows, first = lines[:2], lines[2:], 0
-    return _read_points(path, header, rows, first, options)
+    return read_text_cloud(path, text, options)
 
 
-def _at3d_columns(path: Path, names: list[str]) -> list[int]:
-    lower = [name.lower() for name in names]
-    water = next((lower.index(name) for name in WATER_NAMES if name in lower), None)
-    radius = next((lower.index(name) for name in RADIUS_NAMES if name in lower), None)
-    if lower[:3] != ["x", "y", "z"] or water is None or radius is None:
-        raise DataError(f"{path}: has the columns {', '.join(names)}; it must have x, y, z, lwc and reff")
-    return [0, 1, 2, water, radius]
-
-
-def _read_points(path: Path, header: list[str], rows: list[str], first: int, options: ReadingOptions) -> CloudVolume:
-    """nx ny nz; dx dy and the levels; then ix iy iz, water content (g m^-3), effective radius (um)."""
-    expected = (
-        "text must hold '# comment', 'nx ny nz', 'dx dy z1 ... znz' (km), and lines "
-        "'ix iy iz water_content effective_radius' (g m^-3, um)"
-    )
-    try:
-        shape = tuple(int(word) for word in header[0].split())
-        dx, dy, *levels = (float(word) for word in header[1].split())
-        table = np.array([[float(word) for word in row.split()[:5]] for row in rows if row.strip()])
-    except (ValueError, IndexError):
-        raise DataError(f"{path}: is no cloud that can be read: {expected}") from None
-    if len(shape) != 3 or min(shape) < 1 or table.ndim != 2 or table.shape[1] != 5:
-        raise DataError(f"{path}: is no cloud that can be read: {expected}")
-    if len(levels) != shape[2]:
-        raise DataError(f"{path}: line 3 has {len(levels)} levels, line 2 says {shape[2]}")
-    indices = table[:, :3].astype(int) - first
-    wrong = ((indices < 0) | (indices >= shape)).any(axis=1)
-    if wrong.any():
-        row = np.array(table[np.argmax(wrong), :3], int)
-        raise DataError(
-            f"{path}: the voxel {tuple(row.tolist())} lies outside of {shape} voxels, which are counted from {first}"
-        )
-    water, radius = np.zeros(shape), np.full(shape, np.nan)
-    water[tuple(indices.T)], radius[tuple(indices.T)] = table[:, 3], table[:, 4]
-    # The levels are points on which SHDOM interpolates; x and y are told by their spacing only, and start at 0.
-    edges = [*box_edges(shape[:2], (dx, dy)), edges_between(path, "z", np.array(levels), dx)]
-    return cloud_volume(path, water, "liquid water content", edges, radius, options)
+def _refuse_dimensions(path: Path, options: ReadingOptions) -> None:
+    """Times and members are there in netCDF only."""
+    for name, value in (("--time", options.time), ("--select", options.select)):
+        if value is not None:
+            raise DataError(f"{path}: {name} has no effect: the file has three dimensions; leave it out")
 
 
 def _read_columns(path: Path, options: ReadingOptions) -> CloudVolume:
@@ -136,10 +104,10 @@ def _read_columns(path: Path, options: ReadingOptions) -> CloudVolume:
     beside = path.with_name(path.name.replace(".tau.", ".dz."))
     if not beside.is_file():
         raise DataError(f"{path}: holds optical depths; their thicknesses must lie beside it in {beside.name}")
-    try:
-        depth, thickness = (np.loadtxt(file, ndmin=2).T for file in (path, beside))
-    except ValueError as error:
-        raise DataError(f"{path}: is no table of numbers ({error})") from None
+    for name, value in (("--variable", options.variable), ("--units", options.units)):
+        if value is not None:
+            raise DataError(f"{path}: {name} has no effect: the file holds optical depths; leave it out")
+    depth, thickness = _table(path), _table(beside)
     if depth.shape != thickness.shape:
         raise DataError(f"{path}: has {depth.shape} columns, {beside.name} {thickness.shape}")
     dx, dy, dz = options.spacing or (0.03, 0.03, 0.05)
@@ -151,17 +119,55 @@ def _read_columns(path: Path, options: ReadingOptions) -> CloudVolume:
     if (depth[thickness <= 0] > 0).any():
         raise DataError(f"{path}: a column has an optical depth but no thickness in {beside.name}")
     sides = box_edges(depth.shape, (dx, dy))
-    return cloud_volume(path, extinction, "extinction", [*sides, base + edges], None, options)
+    by = "by --spacing" if options.spacing else "of I3RC's case 3"
+    rows = (("x, y, z", f"voxels of {dx:g} x {dy:g} x {dz:g} km, {by}; base at {base:g} km"),)
+    field = Quantity(f"optical depth, by the thickness in {beside.name}", "extinction", extinction, "km-1", True)
+    return cloud_volume(path, field, [*sides, base + edges], None, options, rows)
+
+
+def _table(path: Path) -> np.ndarray:
+    """Numbers of a text file, [x, y]: a line of it runs along x. All known, and none negative."""
+    rows = [line.replace(",", " ").split() for line in read_text(path).splitlines() if line.strip()]
+    if not rows or any(len(row) != len(rows[0]) for row in rows):
+        raise DataError(f"{path}: is no table of numbers: its lines have different numbers of them")
+    try:
+        values = np.array([[float(word.lower().replace("d", "e")) for word in row] for row in rows]).T
+    except ValueError as error:
+        raise DataError(f"{path}: is no table of numbers ({error})") from None
+    wrong = ~(np.isfinite(values) & (values >= 0))
+    if wrong.any():
+        x, y = (int(index) for index in np.argwhere(wrong)[0])
+        raise DataError(f"{path}: line {y + 1}, number {x + 1} is {values[x, y]}: it must be finite and at least 0")
+    return values
 
 
 # ---- plain arrays
 
 
-def _matlab_array(path: Path, options: ReadingOptions) -> np.ndarray:
-    from scipy.io import loadmat
+def _numpy_array(path: Path) -> np.ndarray:
+    """The array of a .npy file. Its header is looked at first: it may claim more than there is."""
+    try:
+        # What is mapped is as large as the file.
+        mapped = np.load(path, allow_pickle=False, mmap_mode="r")
+    except ValueError as error:
+        text = "it holds Python objects, not numbers" if "bject" in str(error) else str(error)
+        raise DataError(f"{path}: is no array that can be read ({text}): save plain numbers with numpy.save") from None
+    require(3 * mapped.size * 8, f"{path}: reading it", "crop or coarsen it")
+    return np.array(mapped)
+
+
+def _matlab_array(path: Path, options: ReadingOptions) -> tuple[str, np.ndarray]:
+    from scipy.io import loadmat, whosmat
 
     try:
+        claims = {name: 8 * math.prod(shape) for name, shape, _ in whosmat(path)}
+        total = sum(claims.values())
+        if total > HARMLESS and total > LARGEST_COMPRESSION * path.stat().st_size:
+            raise DataError(f"{path}: claims {size_text(total)} in a file of {size_text(path.stat().st_size)}")
+        require(3 * total, f"{path}: reading it", "crop or coarsen it")
         content = loadmat(path)
+    except (DataError, MemoryError):
+        raise
     except NotImplementedError:  # SciPy reads formats up to 7 only
         raise DataError(f"{path}: is in MATLAB's format 7.3: save it with save(..., '-v7')") from None
     except Exception as error:  # what a damaged file may raise has no end
@@ -172,18 +178,25 @@ def _matlab_array(path: Path, options: ReadingOptions) -> np.ndarray:
     if len(arrays) != 1:
         names = ", ".join(name for name in content if not name.startswith("__"))
         raise DataError(f"{path}: choose the three-dimensional array with --variable; the file has {names}")
-    return next(iter(arrays.values()))
+    return next(iter(arrays.items()))
 
 
-def _read_array(path: Path, values: np.ndarray, options: ReadingOptions) -> CloudVolume:
+def _read_array(path: Path, name: str, values: np.ndarray, options: ReadingOptions) -> CloudVolume:
     if values.ndim != 3 or values.dtype.kind not in "fiu":
         raise DataError(f"{path}: has the shape {values.shape} and type {values.dtype}: it must hold 3-D numbers")
+    if not values.size:
+        raise DataError(f"{path}: has the shape {values.shape}: it holds nothing")
     if options.spacing is None:
         raise DataError(f"{path}: an array tells no spacing: add --spacing DX DY DZ (km)")
     if sorted(options.order) != ["x", "y", "z"]:
         raise DataError(f"--order {options.order}: must be a permutation of xyz")
-    values = values.transpose([options.order.index(axis) for axis in "xyz"])
+    _refuse_dimensions(path, options)
+    if options.variable is not None and name != options.variable:
+        raise DataError(f"{path}: --variable {options.variable} has no effect: the file has one array; leave it out")
+    values = values.transpose([options.order.index(axis) for axis in "xyz"]).astype(np.float64)
     kind, factor = field_kind(path, options.units or "km-1")
     if kind == "mixing ratio":
         raise DataError(f"{path}: a mixing ratio needs the density of air: multiply with it, and use g m-3")
-    return cloud_volume(path, values * factor, kind, box_edges(values.shape, options.spacing), None, options)
+    field = Quantity(name, kind, values * factor, options.units or "km-1", options.units is not None)
+    rows = (("x, y, z", f"the array's axes {options.order}, voxels by --spacing, from 0"),)
+    return cloud_volume(path, field, box_edges(values.shape, options.spacing), None, options, rows)

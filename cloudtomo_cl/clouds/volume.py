@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.files.missing import filled, require_present
 from cloudtomo_cl.scene.grid import Grid, resample
 
 # Columns thinner than this in the vertical are counted as clear.
@@ -26,15 +27,23 @@ class CloudVolume:
     extinction : km^-1, shape of the grid
     effective_radius : of the droplets, micrometres, shape of the grid, NaN where there is no cloud;
         None if nothing is known of it
+    readings : what was read as what, for people: quantity, and variable, unit (stated or guessed), missing values
+        and what became of them; nothing of clouds that no file held
     """
 
     grid: Grid
     extinction: np.ndarray
     effective_radius: np.ndarray | None = None
+    readings: tuple[tuple[str, str], ...] = field(default=(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("extinction", "effective_radius"):
             values = getattr(self, name)
+            if isinstance(values, np.ma.MaskedArray):
+                values = filled(values)
+                object.__setattr__(self, name, values)
+            if values is not None and name == "extinction":
+                require_present("the cloud", name, values, "it must be known everywhere; in clear air it is 0")
             if values is not None and values.shape != self.grid.shape:
                 raise DataError(f"{name} has shape {values.shape}, the grid {self.grid.shape}")
 
@@ -135,7 +144,7 @@ class CloudVolume:
             weighted = resample(self.extinction * np.nan_to_num(self.effective_radius), shape)
             radius = weighted_mean(weighted, extinction)
         spacing = tuple(_tidy(edge * factor) for edge, factor in zip(self.grid.spacing, factors))
-        return CloudVolume(Grid(shape, spacing, self.grid.origin), extinction, radius)  # type: ignore[arg-type]
+        return CloudVolume(Grid(shape, spacing, self.grid.origin), extinction, radius, self.readings)  # type: ignore[arg-type]
 
     def tiled(self, along_x: int, along_y: int) -> CloudVolume:
         """Copies side by side."""
@@ -151,13 +160,14 @@ class CloudVolume:
         if radius is not None:
             radius = np.ascontiguousarray((change_radius or change)(radius))
         grid = replace(self.grid, shape=extinction.shape, spacing=tuple(spacing), origin=tuple(origin))
-        return CloudVolume(grid, extinction, radius)
+        return CloudVolume(grid, extinction, radius, self.readings)
 
     def summary(self) -> dict[str, str]:
         """What a person wants to know of a cloud: names and texts with units."""
         grid, extinction, depth = self.grid, np.asarray(self.extinction, dtype=float), self.optical_depth
         cloudy, covered = extinction > 0, depth > COVER_OPTICAL_DEPTH
         rows = {
+            **dict(self.readings),
             "voxels": " x ".join(map(str, grid.shape)),
             "spacing": f"{' x '.join(f'{edge:g}' for edge in grid.spacing)} km",
             "domain": ", ".join(

@@ -17,7 +17,7 @@ from typing import Any
 from cloudtomo_cl.commands import cloud, devices, flux, init, mie, reconstruct, render, report, validate
 from cloudtomo_cl.commands.stopping import exit_status, listening
 from cloudtomo_cl.commands.streams import forgiving
-from cloudtomo_cl.errors import CloudtomoError, Interrupted
+from cloudtomo_cl.errors import CloudtomoError, Interrupted, printable
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
@@ -73,6 +73,10 @@ class _Version(argparse.Action):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; returns the exit status."""
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal that has no ± shows another sign for it, and does not end the command after its work.
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
     with forgiving("cloudtomo"):
         options = vars(parser().parse_args(arguments))
         with without_display():
@@ -116,7 +120,7 @@ def without_display() -> Iterator[None]:
 
 def _ended(command: str, text: str, status: int) -> int:
     """The status, with its reason on standard error."""
-    print(f"cloudtomo {command}: {text}", file=sys.stderr)
+    print(printable(f"cloudtomo {command}: {text}"), file=sys.stderr)
     return status
 
 

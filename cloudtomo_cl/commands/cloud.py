@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cloudtomo_cl.commands import options, stopping
-from cloudtomo_cl.errors import DataError, SettingsError
+from cloudtomo_cl.errors import DataError, SettingsError, printable
 
 if TYPE_CHECKING:
     from cloudtomo_cl.clouds.volume import CloudVolume
@@ -53,6 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     read.add_argument("--units", metavar="UNIT", help="of the field: km-1, m-1, 'g m-3', 'kg m-3', 'g kg-1', 'kg kg-1'")
     read.add_argument("--order", default="xyz", metavar="AXES", help="axes of a plain array (default xyz)")
     read.add_argument("--time", type=int, metavar="INDEX", help="time step, from 0; -1 is the last")
+    read.add_argument("--select", nargs="+", metavar="DIM=INDEX", help="along a dimension that is not space or time")
+    read.add_argument("--missing", choices=["refuse", "clear"], default="refuse", help="values: or take as clear")
     read.add_argument("--effective-radius", type=float, metavar="UM", help="of all droplets, um")
     read.add_argument("--droplet-number", type=float, metavar="N", help="cm^-3; gives the radius where no file does")
     read.add_argument("--droplet-table", type=Path, metavar="FILE", help="Mie table that water becomes extinction by")
@@ -99,6 +101,9 @@ def run(
         volume = _read(file, reading)
     else:
         assert generate is not None
+        for name, value in reading.items():
+            if name != "spacing" and value not in (None, "xyz", "refuse"):
+                raise SettingsError(f"--{name.replace('_', '-')} belongs to FILE, not to --generate: leave it out")
         volume = _generated(generate, shape, reading["spacing"], seed)
     stopping.check()
     volume = _changed(volume, bounds, clear, rotate, coarsen, tile)
@@ -112,7 +117,7 @@ def run(
         _plot(png, volume)
     if not quiet:
         for name, value in volume.summary().items():
-            print(f"{name:<24}{value}")
+            print(printable(f"{name:<24}{value}"))
         for path in (output, png):
             if path is not None:
                 print(f"{path} is written")
@@ -128,6 +133,11 @@ def _read(file: Path, reading: dict[str, Any]) -> CloudVolume:
 
     if reading["spacing"] is not None:
         reading = {**reading, "spacing": tuple(reading["spacing"])}
+    if reading["select"] is not None:
+        pairs = [word.partition("=") for word in reading["select"]]
+        if not all(name and index.lstrip("-").isdecimal() and len(index) < 10 for name, _, index in pairs):
+            raise SettingsError(f"--select {' '.join(reading['select'])}: write for instance --select member=3")
+        reading = {**reading, "select": {name: int(index) for name, _, index in pairs}}
     for name, value in reading.items():
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, float) and not number > 0:

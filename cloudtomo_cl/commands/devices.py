@@ -27,10 +27,10 @@ def run() -> None:
 
     from cloudtomo_cl.opencl.device import list_devices
 
-    console = Console()
+    console = Console(markup=False, emoji=False)
     if not console.is_terminal:
         # Lines for another program to read are not folded.
-        console = Console(width=_WIDE_TABLE)
+        console = Console(markup=False, emoji=False, width=_WIDE_TABLE)
     table = Table(*_HEADINGS, box=None)
     for device in list_devices():
         table.add_row(

@@ -65,7 +65,7 @@ class Job:
 
     @property
     def console(self) -> Console:
-        return Console(quiet=self.request.quiet)
+        return Console(markup=False, emoji=False, quiet=self.request.quiet)
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,7 @@ def run(
     options.check_outputs(overwrite, output=output, png=png)
     radii = _radii(effective_radius, count)
     index = None if refractive_index is None else complex(refractive_index[0], -refractive_index[1])
-    console = Console(quiet=quiet)
+    console = Console(markup=False, emoji=False, quiet=quiet)
     with progress.counting(console, "droplet sizes") as show:
         table = droplet_table(wavelength, radii, effective_variance, index, show)
     settings = {

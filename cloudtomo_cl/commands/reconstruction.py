@@ -96,7 +96,7 @@ class Job:
 
     @property
     def console(self) -> Console:
-        return Console(quiet=self.request.quiet)
+        return Console(markup=False, emoji=False, quiet=self.request.quiet)
 
     @property
     def stored_settings(self) -> dict[str, Any]:

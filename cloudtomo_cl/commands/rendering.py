@@ -72,7 +72,7 @@ class Job:
 
     @property
     def console(self) -> Console:
-        return Console(quiet=self.request.quiet)
+        return Console(markup=False, emoji=False, quiet=self.request.quiet)
 
     @property
     def how(self) -> dict[str, Any]:

@@ -84,7 +84,7 @@ def run(
         raise SettingsError(f"--only {only}: no case has this in its name; without --only the table lists them")
     number = photons or (validation.QUICK_PHOTONS if quick else validation.PHOTONS)
     chosen = choose_device(device)
-    console = Console(quiet=quiet)
+    console = Console(markup=False, emoji=False, quiet=quiet)
     rows: list[Row] = []
     start = time.perf_counter()
     for case in cases:

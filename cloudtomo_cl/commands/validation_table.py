@@ -46,10 +46,10 @@ def _difference(row: Row) -> str:
 
 def print_table(rows: Sequence[Row], notes: Sequence[str]) -> None:
     """On standard output."""
-    console = Console()
+    console = Console(markup=False, emoji=False)
     if not console.is_terminal:
         # Lines for another program to read are not folded.
-        console = Console(width=_WIDE_TABLE)
+        console = Console(markup=False, emoji=False, width=_WIDE_TABLE)
     table = Table(box=None)
     for heading in HEADINGS:
         right = heading in HEADINGS[3:9]

@@ -3,66 +3,65 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import ValidationError
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.files.axes import TOLERANCE, Axis, read_axis
+from cloudtomo_cl.files.missing import filled, require_present, undeclared_fill
 from cloudtomo_cl.files.netcdf import (
     AXES,
-    LENGTH_UNITS,
     Source,
+    factor_of,
     file_attributes,
     load_dataset,
     name_of,
     number_variable,
     save_dataset,
-    unit_factor,
 )
 from cloudtomo_cl.scene.grid import Grid
 
 if TYPE_CHECKING:
     import xarray as xr
 
-# km^-1 in one unit of extinction.
-EXTINCTION_UNITS = {
-    **dict.fromkeys(("km-1", "km^-1", "km**-1", "1/km"), 1.0),
-    **dict.fromkeys(("m-1", "m^-1", "m**-1", "1/m"), 1e3),
-}
-# Coordinates may lie this far from a uniform spacing, in voxels: single precision passes.
-UNIFORM_TOLERANCE = 1e-3
+# What extinctions without units may be, largest of a cloud, km^-1: less is likely one in m^-1.
+PLAUSIBLE_EXTINCTION = (0.5, 2000.0)
+PLAUSIBLE_RADIUS = (0.5, 500.0)
+# Above this a number is no quantity of a cloud in any unit, but a mark for missing values.
+LARGEST = 1e15
 
 
-def _axis(path: Any, dataset: xr.Dataset, name: str) -> tuple[float, float]:
-    """Spacing and lower end of an axis of voxel centres, km."""
-    variable = number_variable(path, dataset, name, (name,))
-    unit = unit_factor(path, variable, LENGTH_UNITS, "km")
-    centres = variable.values.astype(np.float64) * unit
-    if not np.isfinite(centres).all():
-        raise DataError(f"{path}: {name} has values that are not finite")
-    if len(centres) > 1:
-        spacing = float(centres[-1] - centres[0]) / (len(centres) - 1)
-    else:
-        spacing = _single_spacing(path, dataset, name, unit)
-    single = variable.dtype == np.float32
-    rounding = 4 * float(np.abs(centres).max()) * float(np.finfo(np.float32 if single else np.float64).eps)
-    spacing = _tidy(spacing, rounding)
-    if not spacing > 0:
-        raise DataError(f"{path}: {name} must increase from each voxel centre to the next")
-    uniform = centres[0] + spacing * np.arange(len(centres))
-    wrong = np.abs(centres - uniform) > UNIFORM_TOLERANCE * spacing
+def _axis(path: Any, dataset: xr.Dataset, name: str) -> tuple[Axis, float, float]:
+    """An axis of voxel centres, with its spacing and lower end, km."""
+    stored = number_variable(path, dataset, name, (name,))
+    axis = read_axis(path, dataset, name, name)
+    count, points = len(axis.points), axis.points
+    single = stored.dtype == np.float32
+    rounding = 4 * float(np.abs(points).max()) * float(np.finfo(np.float32 if single else np.float64).eps)
+    spacing = _tidy(float(axis.edges[-1] - axis.edges[0]) / count, rounding)
+    uniform = axis.edges[0] + spacing * (np.arange(count) + 0.5)
+    between = (points[-1] - points[0]) / (count - 1) if count > 1 else spacing
+    # Neither edges nor points may be uneven; points may lie off the middle.
+    wrong = np.abs(axis.edges[1:] - uniform - spacing / 2) > 2 * TOLERANCE * spacing
+    wrong |= np.abs(points - points[0] - between * np.arange(count)) > TOLERANCE * spacing
     if wrong.any():
         index = int(np.argmax(wrong))
         raise DataError(
-            f"{path}: {name} is not uniform: {centres[index]:g} km at index {index}, where a uniform spacing "
+            f"{path}: {name} is not uniform: {points[index]:g} km at index {index}, where a uniform spacing "
             f"of {spacing:g} km gives {uniform[index]:g} km: resample the extinction to uniform voxels"
         )
-    origin = centres[0] - spacing / 2
-    if abs(origin) <= UNIFORM_TOLERANCE * spacing:
-        return spacing, 0.0
-    return spacing, _tidy(origin, rounding)
+    # Half a voxel below the first centre, unless bounds say otherwise: centres have less rounding than edges.
+    if np.allclose(axis.edges[:-1], points - spacing / 2, rtol=0, atol=TOLERANCE * spacing):
+        spacing = _tidy(float(between), rounding)
+        origin = float(points[0]) - spacing / 2
+    else:
+        origin = float(axis.edges[0])
+    if abs(origin) <= TOLERANCE * spacing:
+        return axis, spacing, 0.0
+    return axis, spacing, _tidy(origin, rounding)
 
 
 def _tidy(value: float, rounding: float) -> float:
@@ -74,24 +73,18 @@ def _tidy(value: float, rounding: float) -> float:
     return value
 
 
-def _single_spacing(path: Any, dataset: xr.Dataset, name: str, unit: float) -> float:
-    """The height or width of the only voxel along an axis: one centre does not tell it, its bounds do."""
-    bounds = dataset[name].attrs.get("bounds", dataset[name].encoding.get("bounds"))
-    if bounds not in dataset.variables or dataset[bounds].size != 2:
-        raise DataError(
-            f"{path}: {name} has one voxel centre only, which tells no spacing: "
-            f"give it at least two, or a bounds variable after CF"
-        )
-    lower, upper = dataset[bounds].values.ravel().astype(np.float64) * unit
-    return float(upper - lower)
+def _turned(values: np.ndarray, axes: Sequence[Axis]) -> np.ndarray:
+    """Values over x, y, z along rising axes."""
+    return values[tuple(slice(None, None, -1 if axis.falls else 1) for axis in axes)]
 
 
 def read_extinction(source: Source) -> tuple[Grid, np.ndarray]:
     """Reads extinction(x, y, z) from a netCDF file, or from an xarray Dataset or DataArray.
 
-    The coordinates x, y, z are the centres of uniform voxels, in units of km (also if no unit
-    is given) or m; the domain starts half a voxel below the first. Extinction is in km-1
-    (also if no unit is given) or m-1; its dimensions may come in any order.
+    The coordinates x, y, z are the centres of uniform voxels, in units of length (km if no unit is given, and
+    voxels then are as small as those of clouds); they may fall, and the domain starts half a voxel below the lowest,
+    or where bounds say. Extinction is in units of an inverse length (km-1 if none is given); its dimensions may come
+    in any order.
 
     Returns
     -------
@@ -101,16 +94,18 @@ def read_extinction(source: Source) -> tuple[Grid, np.ndarray]:
     Raises
     ------
     DataError : no such file, not netCDF, cut short; missing variables, other dimensions or
-        units, spacing that is not uniform, a domain below the ground; extinction that is
-        negative, not finite or zero everywhere
+        units, spacing that is not uniform, a domain below the ground; extinction that is missing,
+        negative, not finite or zero everywhere, or without units and unlike any cloud's
     """
     path, dataset = name_of(source), load_dataset(source)
     variable = number_variable(path, dataset, "extinction", AXES)
-    spacing, origin = zip(*(_axis(path, dataset, name) for name in AXES))
-    values = variable.values.astype(np.float64) * unit_factor(path, variable, EXTINCTION_UNITS, "km-1")
+    axes, spacing, origin = zip(*(_axis(path, dataset, name) for name in AXES))
+    factor, stated = factor_of(path, "extinction", variable.attrs.get("units"), "km-1")
+    values = _turned(variable.values.astype(np.float64) * factor, axes)
     with np.errstate(over="ignore"):
         extinction = np.ascontiguousarray(values, dtype=np.float32)
-    wrong = ~(np.isfinite(extinction) & (extinction >= 0))
+    check_extinction(path, "extinction", values)
+    wrong = ~np.isfinite(extinction)
     if wrong.any():
         voxel = tuple(int(i) for i in np.argwhere(wrong)[0])
         raise DataError(
@@ -118,10 +113,38 @@ def read_extinction(source: Source) -> tuple[Grid, np.ndarray]:
         )
     if not extinction.any():
         raise DataError(f"{path}: extinction is zero in every voxel: there is no cloud in this file")
+    if not stated:
+        require_plausible(path, "extinction", float(values.max()), "km-1", PLAUSIBLE_EXTINCTION)
     try:
         return Grid(shape=extinction.shape, spacing=spacing, origin=origin), extinction
     except ValidationError as error:
         raise DataError(f"{path}: impossible grid: {error.errors()[0]['msg']} (z must be at least 0)") from None
+
+
+def check_extinction(path: Any, name: str, values: np.ndarray) -> None:
+    """Checks that values of a cloud are known, finite and not negative everywhere. DataError names the first voxel."""
+    wrong = ~(np.isfinite(values) & (values >= 0) & (values < LARGEST))
+    if wrong.any():
+        voxel = tuple(int(i) for i in np.argwhere(wrong)[0])
+        missing = int(np.isnan(values).sum())
+        what = f"; {missing} of {wrong.size} voxels are missing (NaN, masked, or a fill value)" if missing else ""
+        if not missing and undeclared_fill(values[voxel]).any():
+            what = ": if that means missing, say so with the attribute _FillValue"
+        raise DataError(f"{path}: {name} at voxel {voxel} is {values[voxel]}: it must be finite and at least 0{what}")
+
+
+def require_plausible(path: Any, name: str, value: float, unit: str, limits: tuple[float, float]) -> None:
+    """Checks a value whose unit nobody stated against what clouds have. DataError names the likely unit."""
+    lower, upper = limits
+    if lower <= value <= upper:
+        return
+    others = {"km-1": ("m-1", 1e3), "um": ("m", 1e6), "g m-3": ("kg m-3", 1e3), "kg m-3": ("g m-3", 1e-3)}
+    other, factor = others[unit]
+    likely = f", likely {other}" if lower <= value * factor <= upper else ""
+    raise DataError(
+        f"{path}: {name} has no units, and as {unit} its largest value, {value:g}, is none of a cloud "
+        f"({lower:g} to {upper:g}): set its attribute units{likely}, or say --units"
+    )
 
 
 def read_effective_radius(source: Source) -> np.ndarray | None:
@@ -129,14 +152,46 @@ def read_effective_radius(source: Source) -> np.ndarray | None:
 
     Raises
     ------
-    DataError : other dimensions or units
+    DataError : other dimensions or units; missing, not above 0, or unlike any droplets' where there is cloud
     """
     path, dataset = name_of(source), load_dataset(source)
     if "effective_radius" not in dataset:
         return None
     variable = number_variable(path, dataset, "effective_radius", AXES)
-    factor = unit_factor(path, variable, {"um": 1.0, "micrometer": 1.0, "micron": 1.0, "m": 1e6}, "um")
-    return np.ascontiguousarray(variable.to_numpy() * factor, np.float32)
+    factor, stated = factor_of(path, "effective_radius", variable.attrs.get("units"), "um")
+    radius = variable.to_numpy().astype(np.float64) * factor
+    if all(name in dataset.variables for name in AXES):
+        radius = _turned(radius, [read_axis(path, dataset, name, name) for name in AXES])
+    if "extinction" in dataset.variables:
+        extinction = read_extinction(dataset)[1]
+        check_radius(path, radius, extinction > 0, stated)
+    return np.ascontiguousarray(radius, np.float32)
+
+
+def check_radius(path: Any, radius: np.ndarray, cloudy: np.ndarray, stated: bool = True) -> None:
+    """Checks that the droplets' size is known wherever there are droplets.
+
+    Parameters
+    ----------
+    path : what errors call its file
+    radius : micrometres, NaN where it is unknown
+    cloudy : bool, the same shape: where there is cloud
+    stated : whether somebody said that it is in micrometres
+
+    Raises
+    ------
+    DataError : missing, not above 0, or unlike any droplets' in a cloudy voxel
+    """
+    require_present(path, "effective radius", radius, "a cloudy voxel must know its droplets' size", cloudy)
+    wrong = cloudy & ~(np.isfinite(radius) & (radius > 0))
+    if wrong.any():
+        voxel = tuple(int(i) for i in np.argwhere(wrong)[0])
+        raise DataError(
+            f"{path}: effective radius at the cloudy voxel {voxel} is {radius[voxel]}: it must be above 0 um"
+        )
+    if not stated and cloudy.any():
+        for value in (radius[cloudy].min(), radius[cloudy].max()):
+            require_plausible(path, "effective radius", float(value), "um", PLAUSIBLE_RADIUS)
 
 
 def write_extinction(
@@ -191,7 +246,7 @@ def extinction_variables(
     path: Any, grid: Grid, extinction: np.ndarray, effective_radius: np.ndarray | None = None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Variables and coordinates of an extinction, checked."""
-    extinction = np.asarray(extinction)
+    extinction = filled(extinction)
     if extinction.shape != grid.shape:
         raise DataError(f"{path}: extinction has shape {extinction.shape}, the grid {grid.shape}")
     if not np.isfinite(extinction).all():
@@ -216,5 +271,5 @@ def extinction_variables(
     if effective_radius is not None:
         described = {"long_name": "effective radius of the cloud's droplets", "units": "um"}
         described["standard_name"] = "effective_radius_of_cloud_liquid_water_particles"
-        variables["effective_radius"] = (AXES, effective_radius.astype(np.float32), described)
+        variables["effective_radius"] = (AXES, filled(effective_radius).astype(np.float32), described)
     return variables, coordinates

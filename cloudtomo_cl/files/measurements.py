@@ -5,17 +5,20 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
 
-from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.errors import DataError, SettingsError
+from cloudtomo_cl.files.axes import components_in_order, in_order
 from cloudtomo_cl.files.extinction import extinction_variables
+from cloudtomo_cl.files.missing import undeclared_fill
 from cloudtomo_cl.files.netcdf import (
-    LENGTH_UNITS,
     Source,
     axis_coordinate,
+    factor_of,
     file_attributes,
     load_dataset,
     name_of,
@@ -23,6 +26,7 @@ from cloudtomo_cl.files.netcdf import (
     save_dataset,
     unit_factor,
 )
+from cloudtomo_cl.files.units import NUMBER, parse_unit
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.sensors import RayView, View
@@ -31,6 +35,12 @@ if TYPE_CHECKING:
     import xarray as xr
 
 RADIANCE_UNITS = "W m-2 sr-1"
+# Above this a number is no radiance but a mark for invalid pixels.
+_BEYOND_RADIANCES = 1e16
+# A radiance below zero by more standard errors than this is no noise.
+_MOST_BELOW_ZERO = 8.0
+# What a variable `valid` may say of its flags 0 and 1.
+_GOOD_WORDS, _BAD_WORDS = ("valid", "good", "true", "yes", "ok"), ("invalid", "bad", "false", "no", "not_valid")
 # What describes a view: field, dimensions beside "view", unit, long name.
 VIEW_FIELDS: dict[str, tuple[tuple[str, ...], str, str]] = {
     "position": (("axis",), "km", "position of the sensor"),
@@ -159,22 +169,26 @@ def measurements_dataset(
 def read_measurements(source: Source) -> Measurements:
     """Reads what `write_measurements` wrote, or `measurements_dataset` made: the same images, the same views.
 
-    Pixels are bad whose radiance is NaN, or where a variable `valid` (view, row, column), which a file may have,
-    is 0. Another that it may have is `calibration_error` (view), relative.
+    Pixels are bad whose radiance is missing (NaN, masked, a fill value, outside of its valid range), or where a
+    variable `valid` (view, row, column), which a file may have, is 0 or missing. Another that it may have is
+    `calibration_error` (view), relative. Units are converted; coordinates `row`, `column` and `axis` say in which order
+    these come.
 
     Raises
     ------
     DataError : no such file, not netCDF, cut short; missing variables, other dimensions or
-        units; images that are infinite, or bad in all pixels; views that are not possible
+        units; images that are infinite, far below zero, or bad in all pixels; views that are not possible
     """
     path, dataset = name_of(source), load_dataset(source)
+    for dimension in ("row", "column"):
+        dataset = in_order(path, dataset, dimension)
+    dataset = components_in_order(path, dataset)
     dims = ("view", "row", "column")
-    radiance = number_variable(path, dataset, "radiance", dims)
-    error = number_variable(path, dataset, "radiance_standard_error", dims)
-    for variable in (radiance, error):
-        unit_factor(path, variable, {RADIANCE_UNITS: 1.0}, RADIANCE_UNITS)
+    radiance, error = (_radiances(path, dataset, name) for name in ("radiance", "radiance_standard_error"))
     if "valid" in dataset.variables:
-        radiance = radiance.where(number_variable(path, dataset, "valid", dims) != 0)
+        if dataset["valid"].dtype.kind == "b":
+            dataset = dataset.assign(valid=dataset["valid"].astype(np.int8))
+        radiance = radiance.where(_valid(path, number_variable(path, dataset, "valid", dims)))
     heights = number_variable(path, dataset, "image_height", ("view",)).values
     widths = number_variable(path, dataset, "image_width", ("view",)).values
     for name, values, largest in (
@@ -195,7 +209,9 @@ def read_measurements(source: Source) -> Measurements:
     views = _views(path, dataset, heights, widths)
     gains: tuple[float, ...] = ()
     if "calibration_error" in dataset.variables:
-        gains = tuple(map(float, number_variable(path, dataset, "calibration_error", ("view",)).values))
+        gain = number_variable(path, dataset, "calibration_error", ("view",))
+        gains = tuple(float(value) for value in gain.values.astype(np.float64) * unit_factor(path, gain, "1"))
+    _refuse_unlikely(path, radiance.values, error.values)
     shapes = [(slice(0, int(height)), slice(0, int(width))) for height, width in zip(heights, widths)]
     try:
         return Measurements(
@@ -206,6 +222,51 @@ def read_measurements(source: Source) -> Measurements:
         )
     except DataError as wrong:
         raise DataError(f"{path}: {wrong}") from None
+
+
+def _radiances(path: Any, dataset: xr.Dataset, name: str) -> xr.DataArray:
+    """Radiances, or their errors, in our unit and double precision."""
+    variable = number_variable(path, dataset, name, ("view", "row", "column"))
+    unit = parse_unit(variable.attrs.get("units"))
+    if unit is not None and unit.dimension == NUMBER:
+        raise DataError(
+            f"{path}: {name} has units '{variable.attrs['units']}', allowed are {RADIANCE_UNITS} and what converts to "
+            f"it: a reflectance factor R is the radiance R mu0 F0 / pi"
+        )
+    return variable.astype(np.float64) * unit_factor(path, variable, RADIANCE_UNITS)
+
+
+def _valid(path: Any, flags: xr.DataArray) -> xr.DataArray:
+    """Which pixels a variable `valid` calls good: those where it is 1."""
+    values = flags.values
+    known = ~np.isnan(values) if values.dtype.kind == "f" else np.ones(values.shape, bool)
+    if not np.isin(values[known], (0, 1)).all():
+        other = values[known][~np.isin(values[known], (0, 1))][0]
+        raise DataError(f"{path}: valid holds {other:g}: it must be 1 in good pixels and 0 in bad ones")
+    meanings = str(flags.attrs.get("flag_meanings", "")).lower().split()
+    numbers = np.ravel(flags.attrs.get("flag_values", (0, 1))).tolist()
+    for number, meaning in zip(numbers, meanings):
+        if meaning in (_GOOD_WORDS if number == 0 else _BAD_WORDS):
+            raise DataError(f"{path}: valid calls {number} '{meaning}' in flag_meanings: it must be 1 in good pixels")
+    return flags == 1
+
+
+def _refuse_unlikely(path: Any, radiance: np.ndarray, error: np.ndarray) -> None:
+    """Refuses radiances that can only be a mark for invalid pixels which no attribute tells."""
+    sigma = np.where(np.isfinite(error), error, 0.0)
+    with np.errstate(invalid="ignore"):
+        negative = (radiance < 0) & (radiance < -_MOST_BELOW_ZERO * sigma)
+        # Cameras that tell no errors have noise, too: below zero by less than the mean radiance.
+        if np.isfinite(radiance).any():
+            negative &= (sigma > 0) | undeclared_fill(radiance) | (radiance < -np.nanmean(np.abs(radiance)))
+    wrong = negative | (np.isfinite(radiance) & (np.abs(radiance) >= _BEYOND_RADIANCES))
+    if wrong.any():
+        view, row, column = np.argwhere(wrong)[0]
+        raise DataError(
+            f"{path}: radiance of view {view} at row {row}, column {column} is {radiance[view, row, column]:g} (and "
+            f"{int(wrong.sum()) - 1} more are like it), which is no noise: if it marks invalid pixels, set them to NaN or "
+            f"say so with the attribute _FillValue"
+        )
 
 
 def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -224,7 +285,36 @@ def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
         settings = None
     if not isinstance(settings, dict):
         raise DataError(f"{path}: the attribute settings is not a JSON table")
+    _check_settings(path, settings)
     return settings
+
+
+@dataclass(frozen=True, config=ConfigDict(strict=True, extra="ignore"))
+class _StoredNumbers:
+    """What files keep of how they were made, beside the tables that have models of their own."""
+
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    samples: Annotated[int, Field(ge=1, lt=2**31)] = 1
+    iteration: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    stream: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    target_error: Annotated[float, Field(gt=0, lt=10)] = 1.0
+    photons: Annotated[float, Field(ge=1, le=1e15)] = 1.0
+    cloud_file: str = ""
+
+
+def _check_settings(path: Any, settings: dict[str, Any]) -> None:
+    """Checks what is stored as it would be in a settings file. SettingsError names the key."""
+    known = {name: value for name, value in settings.items() if name in _StoredNumbers.__dataclass_fields__}
+    try:
+        _StoredNumbers(**known)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"][:1])
+        shown = repr(known.get(key))[:60]
+        raise SettingsError(
+            f"{path}: its attribute settings stores {key} = {shown}: "
+            f"{first['msg'].replace('Input should be', 'it must be')}; render or reconstruct it again"
+        ) from None
 
 
 def _ray_variables(views: Sequence[RayView]) -> dict[str, Any]:
@@ -265,11 +355,11 @@ def read_rays(path: str | os.PathLike[str]) -> RayView:
     DataError : no such file, not netCDF; missing variables, other dimensions or units, rays that
         are not possible
     """
-    dataset = load_dataset(path)
+    dataset = components_in_order(path, load_dataset(path))
     dims = ("ray", "axis")
     origin, direction = (number_variable(path, dataset, name, dims) for name in ("origin", "direction"))
     fields: dict[str, Any] = {
-        "origins": origin.values.astype(np.float64) * unit_factor(path, origin, LENGTH_UNITS, "km"),
+        "origins": origin.values.astype(np.float64) * unit_factor(path, origin, "km"),
         "directions": direction.values,
     }
     if "image_width" in dataset.attrs:
@@ -286,28 +376,38 @@ def _first_error(error: ValidationError) -> str:
     return f"{where}: {first['msg']}" if where else str(first["msg"])
 
 
+def _in_unit(path: Any, variable: xr.DataArray, ours: str) -> np.ndarray:
+    """A field of views in our unit, exactly as it is stored where it is in that unit."""
+    values = variable.values.astype(np.float64)
+    factor, _ = factor_of(path, str(variable.name), variable.attrs.get("units"), ours)
+    return values if factor == 1.0 else values * factor
+
+
 def _views(path: Any, dataset: xr.Dataset, heights: np.ndarray, widths: np.ndarray) -> tuple[View, ...]:
     """The views from their fields; a field that is NaN was not given."""
     if "view_type" not in dataset.variables or dataset["view_type"].dims != ("view",):
         raise DataError(f"{path}: no variable view_type(view)")
     fields = {
-        name: number_variable(path, dataset, name, ("view", *extra)).values
-        for name, (extra, _, _) in VIEW_FIELDS.items()
+        name: _in_unit(path, number_variable(path, dataset, name, ("view", *extra)), unit)
+        for name, (extra, unit, _) in VIEW_FIELDS.items()
         if name not in OPTIONAL_VIEW_FIELDS or name in dataset.variables
     }
     kinds = dataset["view_type"].values
     first_ray, rays = 0, {}
     if "rays" in kinds:
         rays = {
-            field: number_variable(path, dataset, name, ("ray", "axis")).values
-            for name, (field, _, _) in RAY_FIELDS.items()
+            field: _in_unit(path, number_variable(path, dataset, name, ("ray", "axis")), unit)
+            for name, (field, unit, _) in RAY_FIELDS.items()
         }
     adapter: TypeAdapter[Any] = TypeAdapter(View)
     views = []
     for index, kind in enumerate(kinds):
         table: dict[str, Any] = {"type": str(kind), "pixels": (int(widths[index]), int(heights[index]))}
         for name, values in fields.items():
-            if not np.isnan(values[index]).all():
+            missing = np.isnan(values[index])
+            if missing.any() and not missing.all():
+                raise DataError(f"{path}: {name} of view {index} is missing in part: give all of its numbers, or none")
+            if not missing.any():
                 table[name] = values[index].tolist()
         if kind == "rays":
             count = int(widths[index]) * int(heights[index])

@@ -6,7 +6,9 @@ xarray and the netCDF library are imported where they are used: importing this p
 from __future__ import annotations
 
 import json
+import math
 import os
+import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,8 +17,10 @@ from typing import TYPE_CHECKING, Any, Union
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.files.missing import decode_all
+from cloudtomo_cl.files.units import RADIANCE, Unit, parse_unit
 from cloudtomo_cl.files.whole import check_target, written_whole
-from cloudtomo_cl.memory import require
+from cloudtomo_cl.memory import require, size_text
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -27,16 +31,18 @@ ENDINGS = (".nc", ".nc4", ".cdf", ".netcdf", "")
 AXES = ("x", "y", "z")
 # What files are read from: their names, or what they hold, in memory.
 Source = Union[str, "os.PathLike[str]", "xr.Dataset", "xr.DataArray"]
-# Kilometres in one unit of length.
-LENGTH_UNITS = {
-    **dict.fromkeys(("km", "kilometer", "kilometers", "kilometre", "kilometres"), 1.0),
-    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1e-3),
-}
+# A file that claims to hold so many bytes for each of its own holds nothing: what is compressed best (zeros, by
+# deflate) has 1000.
+LARGEST_COMPRESSION = 2000
+# Below this, no claim takes time or memory.
+HARMLESS = 1 << 26
 
 
 def is_netcdf(path: Path) -> bool:
     """By the first bytes; what cannot be read is no netCDF file."""
     try:
+        if not path.is_file():  # nothing waits for a pipe
+            return False
         with open(path, "rb") as file:
             return file.read(4) in (b"\x89HDF", b"CDF\x01", b"CDF\x02", b"CDF\x05")
     except OSError:
@@ -49,29 +55,29 @@ def name_of(source: Source) -> str:
 
 
 def load_dataset(source: Source) -> xr.Dataset:
-    """The whole file in memory; a dataset is there already, and a DataArray becomes one.
+    """The whole file in memory, as its attributes mean it: missing values are NaN, packed ones unpacked (`missing`).
+
+    A dataset is in memory already, and a DataArray becomes one.
 
     Raises
     ------
-    DataError : no such file, not netCDF, or cut short
+    DataError : no such file, not netCDF, cut short, or larger than this machine's memory
     """
     import xarray as xr
 
     if isinstance(source, xr.Dataset):
-        return source
+        return decode_all(name_of(source), source)
     if isinstance(source, xr.DataArray):
-        return source.to_dataset(name=source.name or "extinction")
-    path = source
-    if not Path(path).is_file():
-        raise DataError(f"{path}: no such file")
+        return decode_all(name_of(source), source.to_dataset(name=source.name or "extinction"))
+    path = Path(source)
+    require_file(path)
     try:
+        _require_size(path)
         # Times and other CF encodings that a foreign file may have are none of our business.
-        with xr.open_dataset(path, engine="netcdf4", decode_times=False) as dataset:
-            # Compressed, a small file may hold gigabytes.
-            require(2 * dataset.nbytes, f"{path}: reading it", "crop or coarsen it")
+        with xr.open_dataset(path, engine="netcdf4", decode_times=False, mask_and_scale=False) as dataset:
             loaded = dataset.load()
         _check_classic(path)
-        return loaded
+        return decode_all(path, loaded)
     except (DataError, MemoryError):
         raise
     except Exception as error:  # what a damaged file may raise has no end
@@ -101,6 +107,37 @@ def _is_locked(path: str | os.PathLike[str]) -> bool:
         return False
     return False
 
+
+def require_file(path: Path) -> None:
+    """Checks that there is a regular file, so that nothing waits for a pipe. DataError if not."""
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):
+        raise DataError(f"{path}: no such file") from None
+    if not stat.S_ISREG(mode):
+        kind = "a folder" if stat.S_ISDIR(mode) else "a pipe or a device"
+        raise DataError(f"{path}: no such file: it is {kind}; copy what it gives to a file first")
+
+
+def _require_size(path: Path) -> None:
+    """Checks what a file claims to hold before any of it is read: compressed, a small file may hold gigabytes."""
+    import netCDF4
+
+    with netCDF4.Dataset(path) as file:
+        claims = {
+            name: np.dtype(variable.dtype if variable.dtype is not str else object).itemsize
+            * math.prod(map(int, variable.shape))
+            for name, variable in file.variables.items()
+        }
+    total = sum(claims.values())
+    if total > HARMLESS and total > LARGEST_COMPRESSION * path.stat().st_size:
+        name = max(claims, key=lambda key: claims[key])
+        raise DataError(
+            f"{path}: {name} claims {size_text(claims[name])} in a file of {size_text(path.stat().st_size)}: most of "
+            f"it was never written: write the file again with the sizes that it has"
+        )
+    # Beside the values there are copies in double precision, and the index of a coordinate.
+    require(3 * total, f"{path}: reading it", "crop or coarsen it")
 
 def _check_classic(path: str | os.PathLike[str]) -> None:
     """Raises ValueError if a file in the classic format ends too early.
@@ -189,12 +226,48 @@ def number_variable(path: Any, dataset: xr.Dataset, name: str, dims: tuple[str, 
     return variable.transpose(*dims)
 
 
-def unit_factor(path: Any, variable: xr.DataArray, units: Mapping[str, float], default: str) -> float:
-    """The factor to our unit; a variable without units is taken to be in it already."""
-    name = str(variable.attrs.get("units", default)).strip()
-    if name not in units:
-        raise DataError(f"{path}: {variable.name} has units '{name}', allowed are {', '.join(filter(None, units))}")
-    return units[name]
+def unit_factor(path: Any, variable: xr.DataArray, ours: str) -> float:
+    """The factor from a variable's unit to ours; a variable without units is taken to be in it already.
+
+    Raises
+    ------
+    DataError : the unit is not understood, or is one of something else
+    """
+    return factor_of(path, str(variable.name), variable.attrs.get("units"), ours)[0]
+
+
+def factor_of(path: Any, name: str, units: Any, ours: str) -> tuple[float, bool]:
+    """The factor from a unit to ours, and whether the unit was stated at all.
+
+    Parameters
+    ----------
+    path, name : what errors call the file and the variable
+    units : the attribute, or None
+    ours : a unit that `parse_unit` understands
+
+    Raises
+    ------
+    DataError : the unit is not understood, or is one of something else
+    """
+    if units is None or (isinstance(units, str) and not units.strip()):
+        return 1.0, False
+    wanted = parse_unit(ours)
+    assert wanted is not None
+    unit = parse_unit(units)
+    if unit is None or unit.dimension != wanted.dimension:
+        hint = ": multiply a spectral radiance with the width of its band first" if _spectral(unit, ours) else ""
+        raise DataError(f"{path}: {name} has units '{units}', allowed are {ours} and what converts to it{hint}")
+    return unit.factor / wanted.factor, True
+
+
+def _spectral(unit: Unit | None, ours: str) -> bool:
+    radiance = parse_unit(ours)
+    return (
+        unit is not None
+        and radiance is not None
+        and radiance.dimension == RADIANCE
+        and unit.dimension in ((-1, *RADIANCE[1:]), (1, *RADIANCE[1:]))
+    )
 
 
 def axis_coordinate() -> tuple[str, Any, dict[str, str]]:

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.files.netcdf import file_attributes, load_dataset, netcdf_errors, number_variable, unit_factor
+from cloudtomo_cl.files.netcdf import factor_of, file_attributes, load_dataset, netcdf_errors, number_variable
 from cloudtomo_cl.files.whole import written_whole
 from cloudtomo_cl.scene.droplets import DropletTable
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
@@ -21,16 +21,8 @@ from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
 if TYPE_CHECKING:
     import xarray as xr
 
-_ANGLES = {
-    **dict.fromkeys(("degree", "degrees", "deg"), 1.0),
-    **dict.fromkeys(("radian", "radians", "rad"), 180 / np.pi),
-}
-_RADII = {
-    **dict.fromkeys(("um", "micron", "microns", "micrometer", "micrometers", "micrometre", "\u00b5m", "\u03bcm"), 1.0),
-    **dict.fromkeys(("m", "meter", "meters", "metre"), 1e6),
-}
-_DENSITIES = dict.fromkeys(("sr-1", "sr^-1", "sr**-1", "1/sr", "1", ""), 1.0)
-_FRACTIONS = dict.fromkeys(("1", ""), 1.0)
+# Of droplets, micrometres: what lies beyond is in another unit than it says.
+_RADII = (1e-3, 1e4)
 # Attributes of phase_function that say what its integral over the sphere is, and how they may say it.
 _NORMALISATION_NAMES = ("normalisation", "normalization")
 _NORMALISATIONS = {"1": 1.0, "4 pi": 4 * np.pi, "4pi": 4 * np.pi, "4*pi": 4 * np.pi}
@@ -64,7 +56,7 @@ def read_droplet_table(path: str | os.PathLike[str]) -> DropletTable:
     """
     dataset = load_dataset(path)
     function = _phase_function(path, dataset)
-    efficiency = _numbers(path, dataset, "extinction_efficiency", ("effective_radius",), _FRACTIONS)
+    efficiency = _numbers(path, dataset, "extinction_efficiency", ("effective_radius",), "1")
     numbers = {}
     for name in _NUMBERS_OF_A_TABLE:
         try:
@@ -139,13 +131,18 @@ def write_phase_function(
 
 def _phase_function(path: Any, dataset: xr.Dataset) -> TabulatedPhaseFunction:
     per_radius = ("effective_radius",) if "effective_radius" in dataset.dims else ()
-    angle = _numbers(path, dataset, "angle", ("angle",), _ANGLES, "degree")
-    values = _numbers(path, dataset, "phase_function", (*per_radius, "angle"), _DENSITIES, "sr-1")
+    angle = _numbers(path, dataset, "angle", ("angle",), "degree")
+    values = _numbers(path, dataset, "phase_function", (*per_radius, "angle"), "sr-1")
     values = np.atleast_2d(values) / _declared_integral(path, dataset["phase_function"])
-    radius = _numbers(path, dataset, "effective_radius", per_radius, _RADII, "um") if per_radius else np.array([])
+    radius = _numbers(path, dataset, "effective_radius", per_radius, "um") if per_radius else np.array([])
+    if len(radius) and not (_RADII[0] <= radius.min() and radius.max() <= _RADII[1]):
+        raise DataError(
+            f"{path}: effective_radius is {radius.min():g} to {radius.max():g} um, and droplets' are {_RADII[0]:g} to "
+            f"{_RADII[1]:g}: correct its units '{dataset['effective_radius'].attrs.get('units', '')}'"
+        )
     albedo = None
     if "single_scattering_albedo" in dataset.variables:
-        albedo = np.atleast_1d(_numbers(path, dataset, "single_scattering_albedo", per_radius, _FRACTIONS))
+        albedo = np.atleast_1d(_numbers(path, dataset, "single_scattering_albedo", per_radius, "1"))
     if len(angle) and angle[0] > angle[-1]:
         angle, values = angle[::-1], values[:, ::-1]
     angle = angle.copy()
@@ -186,14 +183,13 @@ def _declared_integral(path: Any, variable: xr.DataArray) -> float:
     return 1.0
 
 
-def _numbers(
-    path: Any,
-    dataset: xr.Dataset,
-    name: str,
-    dims: tuple[str, ...],
-    units: Mapping[str, float],
-    default: str = "1",
-) -> np.ndarray:
-    """A variable in our unit (that without units is taken to be the default), in double precision."""
+def _numbers(path: Any, dataset: xr.Dataset, name: str, dims: tuple[str, ...], ours: str) -> np.ndarray:
+    """A variable in our unit (that without units is taken to be in it), in double precision."""
     variable = number_variable(path, dataset, name, dims)
-    return variable.values.astype(np.float64) * unit_factor(path, variable, units, default)
+    units = variable.attrs.get("units")
+    if ours == "sr-1" and units == "1":  # as most tables call a density over the sphere
+        units = None
+    values = variable.values.astype(np.float64) * factor_of(path, name, units, ours)[0]
+    if np.isnan(values).any():
+        raise DataError(f"{path}: {name} has missing values: a phase function must be known at every angle and radius")
+    return values

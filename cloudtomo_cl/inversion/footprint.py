@@ -26,7 +26,7 @@ def stage_footprint(
 
     Parameters
     ----------
-    solver : whose method `footprint(pixels, voxels)` says what it keeps for its active pixels and the mask's voxels
+    solver : whose method `footprint(pixels, voxels, longest)` says what it keeps
     mask : bool, on the scene's grid; without one all pixels and voxels count, and what solvers keep does not
 
     Raises
@@ -42,5 +42,5 @@ def stage_footprint(
     if mask is not None and hasattr(solver, "footprint"):
         kept = coarsened(mask, stage.grid)
         active = active_pixels(measurements.at_share(stage.pixels), scene.grid.with_shape(stage.grid), kept)
-        needed += solver.footprint(len(active), int(kept.sum()))
+        needed += solver.footprint(len(active), int(kept.sum()), max(stage.grid))
     return needed

@@ -6,9 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cloudtomo_cl.inversion.linear_model import Jacobian
 from cloudtomo_cl.inversion.problem import Problem
-from cloudtomo_cl.transport.derivatives import RadianceTable
+from cloudtomo_cl.transport.jacobian import Jacobian, JacobianSums
 from cloudtomo_cl.transport.radiance import Rendering
 
 
@@ -22,21 +21,15 @@ class JacobianAverage:
     """
 
     def __init__(self, problem: Problem, rate: Callable[[int], float]) -> None:
-        self._table = RadianceTable(problem.operator)
+        self._sums = JacobianSums(problem.operator)
         self._rate = rate
-        self._values: np.ndarray | None = None
         self._iterations = 0
-
-    @property
-    def jacobian(self) -> Jacobian:
-        """The average so far."""
-        assert self._values is not None
-        return Jacobian(self._values)
+        self.jacobian: Jacobian = self._sums.jacobian
 
     def add(self, problem: Problem, extinction: np.ndarray, seed: int, stream: int) -> Rendering:
         """Renders an extinction, km^-1, shape (voxels,), and averages its derivatives in; returns the rendering."""
         samples = problem.samples or problem.default_samples
         rendering = problem.operator.render(problem.on_grid(extinction), samples, seed, stream, store_paths=True)
-        self._values = self._table.jacobian(rendering, self._values, self._rate(self._iterations))
+        self._sums.add(rendering, self._rate(self._iterations))
         self._iterations += 1
         return rendering

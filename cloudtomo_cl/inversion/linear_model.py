@@ -6,56 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator
 
-# Entries of a Jacobian that are squared at a time.
-_BLOCK = 1 << 24
-
-
-class Jacobian(LinearOperator):
-    """Derivatives of pixels' radiances with respect to voxels' extinctions, W m^-2 sr^-1 km.
-
-    Products, `jacobian @ x` and `jacobian.T @ y`, are in single precision; they change nothing.
-
-    Parameters
-    ----------
-    values : float32, shape (pixels, voxels); it is not copied
-    """
-
-    def __init__(self, values: np.ndarray) -> None:
-        super().__init__(np.dtype(np.float32), values.shape)
-        self._values = values
-
-    def _matvec(self, x: np.ndarray) -> np.ndarray:
-        return self._values @ np.asarray(x, np.float32).reshape(-1)
-
-    def _rmatvec(self, y: np.ndarray) -> np.ndarray:
-        return np.asarray(y, np.float32).reshape(-1) @ self._values
-
-    def _matmat(self, x: np.ndarray) -> np.ndarray:
-        return self._values @ np.asarray(x, np.float32)
-
-    def _rmatmat(self, y: np.ndarray) -> np.ndarray:
-        return self._values.T @ np.asarray(y, np.float32)
-
-    def curvature(self, weights: np.ndarray) -> np.ndarray:
-        """The diagonal of J^T W J: sum_d w_d J_dv^2.
-
-        Parameters
-        ----------
-        weights : w, shape (pixels,)
-
-        Returns
-        -------
-        shape (voxels,), float64
-        """
-        values = self._values
-        curvature = np.zeros(values.shape[1])
-        block = max(1, _BLOCK // len(curvature))
-        for first in range(0, len(values), block):
-            here = slice(first, first + block)
-            curvature += weights[here].astype(np.float32) @ values[here] ** 2
-        return curvature
+from cloudtomo_cl.transport.jacobian import Jacobian
 
 
 @dataclass(frozen=True, eq=False)

@@ -146,14 +146,16 @@ class Problem:
         DataError : x has another shape, or is negative or not finite; there is not memory enough
         TransportError, AuditError : the device computes wrongly
         """
-        from cloudtomo_cl.inversion.linear_model import Jacobian, LinearModel
+        from cloudtomo_cl.inversion.linear_model import LinearModel
+        from cloudtomo_cl.transport.jacobian import JacobianSums
 
         x = self._checked(x)
         rendering = self.operator.render(
             self.on_grid(x), samples or self.samples or self.default_samples, seed, stream, store_paths=True
         )
-        jacobian = Jacobian(RadianceTable(self.operator).jacobian(rendering))
-        return LinearModel(x.copy(), rendering.mean, rendering.standard_error**2, jacobian, rendering)
+        sums = JacobianSums(self.operator)
+        sums.add(rendering, 1.0)
+        return LinearModel(x.copy(), rendering.mean, rendering.standard_error**2, sums.jacobian, rendering)
 
     @device_errors("the cost and its gradient")
     def value_and_gradient(

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cloudtomo_cl.inversion.linear_model import Jacobian
 from cloudtomo_cl.inversion.priors import SMOOTHNESS_CURVATURE
+from cloudtomo_cl.transport.jacobian import Jacobian
 
 # Of the conjugate gradients between two looks at the bounds: at most, and the residual relative to the right side
 # at which they end. And how often the bounds are looked at.

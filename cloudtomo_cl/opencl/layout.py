@@ -47,6 +47,15 @@ STRUCTS: dict[str, np.dtype] = {
             ("first_ray", np.int32),  # in the array of rays; -1: affine
         ]
     ),
+    "Tile": np.dtype(  # of a pixel's near field: near_field.h
+        [
+            ("axis", np.int32),  # along which its line of sight crosses most voxels
+            ("first_slab", np.int32),  # of voxels across that axis
+            ("slabs", np.int32),
+            ("centre", np.float32, 2),  # where the line is in slab 0 along the next two axes, voxels
+            ("slope", np.float32, 2),  # voxels from slab to slab
+        ]
+    ),
     "PixelSums": np.dtype(
         [
             ("half_sum", np.float32, 2),  # radiances of even and odd samples, sr^-1
@@ -67,6 +76,11 @@ FLUXES = ("REFLECTED", "DIRECT", "DIFFUSE", "ABSORBED")
 WEIGHT_UNIT = 2.0**24
 BUDGET_COPIES = 64
 TABLE_UNIT = 2.0**30
+# Units of the fixed-point sums of derivatives per sr^-1 km: rounding is far below the deposits that matter (about
+# 1e-6), and a sum of them may reach 2^30 before it overflows.
+DERIVATIVE_UNIT = 2.0**32
+# Voxels of a pixel's tile across its line of sight: near_field.h.
+TILE_WIDTH = 5
 # Paths of a pixel: kernels number them with unsigned integers of 32 bits.
 MOST_SAMPLES = 2**32 - 1
 # Sums in fixed point that leave this range on either side have overflowed: fixed_point.py.
@@ -83,6 +97,8 @@ def _constants() -> str:
     lines.append(f"#define WEIGHT_UNIT {WEIGHT_UNIT:.1f}f")
     lines.append(f"#define BUDGET_COPIES {BUDGET_COPIES}")
     lines.append(f"#define TABLE_UNIT {TABLE_UNIT:.1f}f")
+    lines.append(f"#define DERIVATIVE_UNIT {DERIVATIVE_UNIT:.1f}f")
+    lines.append(f"#define TILE_WIDTH {TILE_WIDTH}")
     lines.append(f"#define LARGEST_SUM {LARGEST_SUM}ul")
     return "\n".join(lines)
 

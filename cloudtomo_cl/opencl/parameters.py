@@ -45,6 +45,22 @@ _TABLE = (
     "const __global float *sunlight",  # [column]: direct, share of the irradiance
     "volatile __global Accumulator *table_sums",  # [column][bin][2]: km, sr^-1 km
 )
+_TILES = (
+    "__constant Scene *scene",
+    "const __global Tile *tiles",
+    "const __global int *column",
+)
+_ROWS = (
+    "const __global Tile *tiles",
+    "const __global uint *slot_start",  # of every pixel's tile
+    "const uint first_pixel",
+    "const uint row_count",
+)
+_FAR = (
+    "const uint pixel_block_count",
+    "const uint block_count",
+    "const __global float *far",  # [pixel block][block]
+)
 _STEP = (
     "const uint voxel_count",
     "__global float *extinction",  # km^-1
@@ -81,17 +97,72 @@ KERNELS: dict[str, tuple[str, ...]] = {
         "volatile __global Accumulator *gradient",
         "__global float *path_tangent",  # each path's derivative along the change, sr^-1
     ),
-    "jacobian_rows": (
+    "jacobian_paths": (
         *_REPLAY,
         *_TABLE,
-        "const uint begin",
-        "const uint end",
-        "const uint first_pixel",
-        "const uint row_count",
-        "const uint column_count",
-        "__global float *first_rows",  # [row][column], sr^-1 km
-        "__global float *later_rows",
+        *_ROWS,
+        "const __global ushort4 *place",  # of every column: the voxel
+        "const __global int *block",  # of every column
+        "const __global uint *pixel_block",  # of every pixel
+        "const uint block_count",
+        "volatile __global Accumulator *near_sums",  # [slot] of the rows' pixels
+        "volatile __global Accumulator *far_sums",  # [pixel block][block]
     ),
+    "near_count": (*_TILES, "const uint pixel_count", "__global uint *counts"),
+    "near_fill": (*_TILES, "const uint pixel_count", "const __global uint *row_start", "__global int *columns"),
+    "average_near": (
+        "__constant Scene *scene",
+        "const __global int *column",
+        *_ROWS,
+        "const __global uint *row_start",  # of every pixel's entries
+        "const __global Accumulator *near_sums",
+        "const float keep",
+        "const float unit",  # W m^-2 sr^-1 km of a sum's unit
+        "__global float *values",
+        "volatile __global uint *overflown",  # number of sums
+    ),
+    "average_far": (
+        "const uint pixel_block_count",
+        "const uint block_count",
+        "const __global Accumulator *far_sums",
+        "const __global float *block_pixels",  # pixels of every pixel block
+        "const __global float *block_voxels",  # voxels of every block
+        "const float keep",
+        "const float unit",
+        "__global float *far",
+        "volatile __global uint *overflown",
+    ),
+    "jacobian_times": (
+        "const uint pixel_count",
+        "const __global uint *row_start",
+        "const __global int *columns",
+        "const __global float *values",
+        "const __global uint *pixel_block",
+        "const __global NUMBERS *of_blocks",  # the far field's part, [pixel block]
+        "const __global NUMBERS *x",
+        "__global NUMBERS *result",
+    ),
+    "jacobian_transposed": (
+        "const uint voxel_count",
+        "const __global uint *column_start",
+        "const __global uint *entries",  # of every column, among the rows' values
+        "const __global uint *rows",  # of these
+        "const __global float *values",
+        "const int squares",
+        "const __global int *block",
+        "const __global NUMBERS *of_blocks",  # the far field's part, [block]
+        "const __global NUMBERS *y",
+        "__global NUMBERS *result",
+    ),
+    "sum_members": (
+        "const uint block_count",
+        "const __global uint *member_start",
+        "const __global uint *members",
+        "const __global NUMBERS *x",
+        "__global NUMBERS *result",
+    ),
+    "far_times": (*_FAR, "const __global NUMBERS *x", "__global NUMBERS *result"),
+    "far_transposed": (*_FAR, "const int squares", "const __global NUMBERS *y", "__global NUMBERS *result"),
     "direct_sunlight": (*MEDIUM, "const __global int *voxel", "const uint count", "__global float *sunlight"),
     "trace_photons": (
         *MEDIUM,
@@ -142,7 +213,7 @@ _NUMBERS: dict[str, Any] = {
 }  # fmt: skip
 # Types of buffers whose arrays have their components as another axis, or are made of structs: host and kernels agree
 # on those by layout.STRUCTS.
-_ELEMENTS = _NUMBERS | {"uint2": np.uint32, "float2": np.float32}
+_ELEMENTS = _NUMBERS | {"uint2": np.uint32, "float2": np.float32, "ushort4": np.uint16, "NUMBERS": np.float32}
 
 
 @dataclass(frozen=True)

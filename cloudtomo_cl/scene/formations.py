@@ -11,15 +11,17 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from cloudtomo_cl.scene.grid import Coordinate, Count, Length, Triple
+from cloudtomo_cl.scene.grid import Coordinate, Length, Triple
 from cloudtomo_cl.scene.scene import Angle
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, Pixels, PushBroomView, RayView
 
 AlongTrackAngle = Annotated[float, Field(gt=-90, lt=90)]
-AlongTrackAngles = Annotated[tuple[AlongTrackAngle, ...], Field(min_length=1)]
+AlongTrackAngles = Annotated[tuple[AlongTrackAngle, ...], Field(min_length=1, max_length=10_000)]
 
 # View angles at the ground, degrees from nadir, of MISR's nine cameras Df to Da.
 # Source: Diner et al. 1998, IEEE Trans. Geosci. Remote Sens. 36, 1072-1087.
+# Far more than any campaign flies; every camera is an object with its own image.
+_MOST_CAMERAS = 10_000
 MISR_ANGLES = (70.5, 60.0, 45.6, 26.1, 0.0, -26.1, -45.6, -60.0, -70.5)
 
 
@@ -44,7 +46,7 @@ class RingOfViews:
     radius: Length
     field_of_view: Annotated[float, Field(gt=0, lt=180)]
     pixels: Pixels
-    count: Count = 8
+    count: Annotated[int, Field(ge=1, le=_MOST_CAMERAS)] = 8
     azimuth: Angle = 0.0
     nadir: bool = True
     type: Literal["ring"] = "ring"

@@ -51,6 +51,12 @@ class Measurements:
         return cls(operator.views, images, errors)
 
     def __post_init__(self) -> None:
+        for name in ("images", "standard_errors"):
+            # A masked pixel is a bad one.
+            arrays = getattr(self, name)
+            if any(isinstance(array, np.ma.MaskedArray) for array in arrays):
+                plain = tuple(np.ma.filled(np.ma.asarray(array, np.float64), np.nan) for array in arrays)
+                object.__setattr__(self, name, plain)
         if not self.views:
             raise DataError("measurements: there is no view: at least one image is needed")
         for name, arrays in (("images", self.images), ("standard_errors", self.standard_errors)):

@@ -31,13 +31,19 @@ def with_overrides(tables: dict[str, Any], overrides: Sequence[str]) -> dict[str
     ------
     SettingsError : no key, a key inside of something that is no table, no such entry of a list
     """
-    tables = copy.deepcopy(tables)
+    try:
+        tables = copy.deepcopy(tables)
+    except RecursionError:
+        raise SettingsError("the settings' tables are nested too deeply to be settings of anything") from None
     for override in overrides:
         key, equals, text = override.partition("=")
         key = key.strip()
         if not equals or not re.fullmatch(r"[A-Za-z_]\w*(\[\d+\])*(\.[A-Za-z_]\w*(\[\d+\])*)*", key):
             raise SettingsError(f"--set {override}: is not key=value: {_EXAMPLE}")
-        parts = [int(part) if part.isdigit() else part for part in re.findall(r"\w+", key)]
+        try:
+            parts = [int(part) if part.isdigit() else part for part in re.findall(r"\w+", key)]
+        except ValueError:  # more digits than Python takes
+            raise SettingsError(f"--set {override[:60]}...: is not key=value: {_EXAMPLE}") from None
         node: Any = tables
         for position, part in enumerate(parts[:-1]):
             if isinstance(node, dict) and isinstance(part, str):
@@ -68,5 +74,5 @@ def _entry(override: str, node: Any, part: Any) -> Any:
 def _value(text: str) -> Any:
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (RecursionError, ValueError):  # no TOML, or a number with too many digits
         return text

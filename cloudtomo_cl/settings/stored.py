@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
+from pydantic_core import PydanticSerializationError, to_json
 
 from cloudtomo_cl.errors import SettingsError
 from cloudtomo_cl.files.extinction import read_effective_radius, read_extinction
@@ -33,18 +34,26 @@ def kept_scene(
 def scene_of_tables(path: Path, tables: dict[str, Any]) -> Scene:
     """The scene of what `stored_scene` made, or of tables in its place. SettingsError if it is none."""
     try:
-        return TypeAdapter(Scene).validate_python(tables)
+        return TypeAdapter(Scene).validate_json(_json(path, tables), strict=True)
     except ValidationError as error:
         lines = lines_of(error, tables, TypeAdapter(Scene).json_schema())
         raise SettingsError(error_text(str(path), lines)) from None
 
 
+def _json(path: Path, tables: Any) -> bytes:
+    """Tables as JSON, which is checked as strictly as TOML: "60" is no number. SettingsError if they are none."""
+    try:
+        return to_json(tables)
+    except (PydanticSerializationError, ValueError, RecursionError) as error:
+        raise SettingsError(f"{path}: stores settings that are none: {error}") from None
+
+
 def noise_of_table(path: Path, table: Any) -> Noise:
     """The noise that a file of images keeps, as `stored_noise` made it. SettingsError if it is none."""
     try:
-        return TypeAdapter(Noise).validate_python(table)
+        return TypeAdapter(Noise).validate_json(_json(path, table), strict=True)
     except ValidationError as error:
-        lines = lines_of(error, {"noise": table}, TypeAdapter(Noise).json_schema())
+        lines = lines_of(error, table if isinstance(table, dict) else {}, TypeAdapter(Noise).json_schema())
         raise SettingsError(error_text(str(path), [f"noise: {line}" for line in lines])) from None
 
 

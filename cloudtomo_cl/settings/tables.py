@@ -25,8 +25,9 @@ from pydantic import (
 )
 from pydantic.dataclasses import dataclass
 
-from cloudtomo_cl.errors import SettingsError
+from cloudtomo_cl.errors import DataError, SettingsError
 from cloudtomo_cl.files.phase import read_phase_function
+from cloudtomo_cl.files.text import read_text
 from cloudtomo_cl.inversion.priors import Prior
 from cloudtomo_cl.inversion.solvers.choice import SolverTable
 from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
@@ -58,11 +59,17 @@ else:
 def _beside_settings(path: Path, info: ValidationInfo) -> Path:
     """Relative paths start at the settings file's folder."""
     path = Path((info.context or {}).get("folder", "."), path)
-    if not path.is_file():
+    try:
+        there = path.is_file()
+    except (OSError, ValueError):  # a name that is too long, or has a zero byte
+        there = False
+    if not there:
         raise ValueError(f"there is no file {path}")
     return path
 
 
+# Bytes: far beyond any settings, which have some hundred lines.
+_LARGEST_SETTINGS = 1 << 24
 InputFile = Annotated[Path, AfterValidator(_beside_settings)]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]
 
@@ -283,23 +290,30 @@ def repeated_reconstruct_settings(
         raise SettingsError(f"{path}: keeps no settings of a reconstruction: give a run file, or a reconstruction.nc")
     refuse_old_keys(path, tables)
     kept = {name: tables[name] for name in ("stage", "prior", "solver", "run") if tables.get(name) is not None}
-    kept.setdefault("run", {})["seed"] = stored.get("seed", 0)
+    if not isinstance(kept.setdefault("run", {}), dict):
+        raise SettingsError(f"{path}: its attribute settings stores run = {kept['run']!r:.60}: it must be a table")
+    kept["run"] = {**kept["run"], "seed": stored.get("seed", 0)}
     kept["measurements"] = {"file": path.name}
     return _check(path, with_overrides(kept, overrides), ReconstructSettings)
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SettingsError(f"{path}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SettingsError(f"{path}: is not TOML: {error}") from None
+        return tomllib.loads(read_text(path, _LARGEST_SETTINGS))
+    except DataError as error:
+        raise SettingsError(str(error)) from None
+    except RecursionError:
+        raise SettingsError(f"{path}: is no settings file: its tables are nested too deeply") from None
+    except ValueError as error:  # of TOML, and of a number with too many digits
+        raise SettingsError(f"{path}: is not TOML: {str(error).partition(';')[0]}") from None
 
 
 def _check(path: Path, tables: dict[str, Any], model: type[Settings]) -> Settings:
     # Dates, which no key takes, become text and are refused as such.
-    text = json.dumps(tables, default=str)
+    try:
+        text = json.dumps(tables, default=str)
+    except (RecursionError, ValueError) as error:
+        raise SettingsError(f"{path}: is no settings file: {error}") from None
     try:
         return model.model_validate_json(text, strict=True, context={"folder": path.parent})
     except ValidationError as error:

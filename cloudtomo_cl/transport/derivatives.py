@@ -12,7 +12,6 @@ from cloudtomo_cl.opencl.fixed_point import require_sums
 from cloudtomo_cl.opencl.layout import TABLE_UNIT
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.phase import PhaseFunction
-from cloudtomo_cl.scene.pixels import neighbours
 from cloudtomo_cl.transport.radiance import FIXED_POINT_SCALE, RadianceOperator, Rendering, largest_adjoint
 
 if TYPE_CHECKING:
@@ -40,10 +39,6 @@ _OWN_CROSSINGS, _NEIGHBOUR_CROSSINGS = 5.0, 0.05
 _BYTES_PER_CELL, _HOST_BYTES_PER_CELL = 20, 40
 # Kernels count the table's entries with signed integers of 32 bits.
 _MOST_CELLS = 2**31 - 1
-# Entries of the Jacobian that a device makes at a time.
-_BLOCK = 1 << 25
-# Its columns that are pooled at a time.
-_COLUMNS = 2048
 # After so many gradients the table is made anew, and what it held before fades.
 _FADING = 0.7
 _REFRESH = 4
@@ -52,12 +47,6 @@ _REFRESH = 4
 def table_footprint(voxels: int) -> Footprint:
     """What a `RadianceTable` of so many voxels takes."""
     return Footprint(_BYTES_PER_CELL * voxels * BINS, 16 * voxels * BINS, _HOST_BYTES_PER_CELL * voxels * BINS)
-
-
-def jacobian_footprint(pixels: int, voxels: int) -> Footprint:
-    """What `RadianceTable.jacobian` takes: an average and what is added to it, and a block of rows on the device."""
-    rows = 8.0 * max(_BLOCK, voxels)
-    return Footprint(rows, rows / 2, 2 * 4.0 * pixels * voxels)
 
 
 class RadianceTable:
@@ -100,12 +89,12 @@ class RadianceTable:
             )
         column = np.full(mask.shape, -1, np.int32)
         column[mask] = np.arange(self.columns)
-        self._column = device.constant(column)
+        self.column = device.constant(column)
         self._voxel = device.constant(np.flatnonzero(mask).astype(np.int32))
         features = (*operator.features, *_FEATURES)
         self._gradient_paths = device.kernel("derivatives", "gradient_paths", features)
         self._direct_sunlight = device.kernel("derivatives", "direct_sunlight", features)
-        self._features = features
+        self.features = features
         cloud = operator.scene.cloud
         # Of a phase table the middle row stands for all: it is what flights to the sun are drawn from.
         albedos = getattr(cloud.phase_function, "single_scattering_albedo", None) or (cloud.single_scattering_albedo,)
@@ -144,59 +133,17 @@ class RadianceTable:
         self._gradients += 1
         return self._walk(rendering, adjoint, change)
 
-    def jacobian(self, rendering: Rendering, mean: np.ndarray | None = None, rate: float = 1.0) -> np.ndarray:
-        """The derivatives of all pixels with respect to all voxels of the mask.
+    def prepare(self, rendering: Rendering) -> None:
+        """Makes the table at a rendering's extinction, for kernels that take it by `buffers`.
 
-        Parameters
-        ----------
-        mean : of earlier derivatives; it is changed into mean + rate (new ones - mean), in place
-
-        Returns
-        -------
-        `mean`, or a new array without one: float32, W m^-2 sr^-1 km, shape (pixels, voxels of the mask);
-        the voxels in the order of `extinction[mask]`. What a path does after its first flight is shared by the
-        pixels beside each other in an image. For the rendering's paths and the table see `gradient`.
-
-        Raises
-        ------
-        DataError : there is not memory enough
-        AuditError, TransportError : as `RadianceOperator.gradient`
+        It is made of the paths that went into it before; the first time the rendering's own fill it.
         """
-        operator, pixels = self._operator, len(self._operator.pixels)
-        jacobian_footprint(pixels, self.columns).require(
-            operator.device,
-            f"the derivatives of {pixels} pixels with respect to {self.columns} voxels",
-            'choose fewer pixels, a coarser [grid] or [[stage]], or solver.type = "adam", which keeps none',
-        )
-        nothing = self._array.zeros(operator.device.queue, operator.scene.grid.shape, np.float32)
+        operator = self._operator
         if self._gradients == 0:
-            self._walk(rendering, np.zeros((pixels, 2)), nothing)
+            nothing = self._array.zeros(operator.device.queue, operator.scene.grid.shape, np.float32)
+            self._walk(rendering, np.zeros((len(operator.pixels), 2)), nothing)
         self._refresh(rendering)
         self._gradients += 1
-        kernel = operator.device.kernel("jacobian", "jacobian_rows", self._features)
-        if mean is None:
-            mean, rate = np.zeros((pixels, self.columns), np.float32), 1.0
-        else:
-            mean *= np.float32(1 - rate)
-        later = np.empty_like(mean)
-        block = max(1, _BLOCK // self.columns)
-        unit = np.float32(operator.scene.sun.irradiance / rendering.samples * rate)
-        for start in range(0, pixels, block):
-            count = min(block, pixels - start)
-            rows = [self._array.zeros(operator.device.queue, (count, self.columns), np.float32) for _ in range(2)]
-            for launch in operator.stored_launches(rendering):
-                launch.run_pixels(
-                    kernel, count, **self._buffers, first_pixel=start, row_count=count, column_count=self.columns,
-                    first_rows=rows[0], later_rows=rows[1],
-                )  # fmt: skip
-            here = slice(start, start + count)
-            mean[here] += rows[0].get() * unit
-            np.multiply(rows[1].get(), unit, out=later[here])
-        pool = neighbours(operator.views, operator.pixels)
-        # In blocks of columns, for the sake of memory.
-        for start in range(0, self.columns, _COLUMNS):
-            mean[:, start : start + _COLUMNS] += pool @ later[:, start : start + _COLUMNS]
-        return mean
 
     def arrays(self) -> dict[str, np.ndarray]:
         """All that a gradient changes, as arrays on the host."""
@@ -212,10 +159,10 @@ class RadianceTable:
             array.set(state[name])
 
     @property
-    def _buffers(self) -> dict[str, Any]:
+    def buffers(self) -> dict[str, Any]:
         """The table as kernels take it."""
         return {
-            "column": self._column, "scattered": self._scattered, "sunlight": self._sunlight, "table_sums": self._field
+            "column": self.column, "scattered": self._scattered, "sunlight": self._sunlight, "table_sums": self._field
         }  # fmt: skip
 
     def _walk(self, rendering: Rendering, adjoint: np.ndarray, change: Any) -> tuple[Any, np.ndarray]:
@@ -228,7 +175,7 @@ class RadianceTable:
         for launch in operator.stored_launches(rendering):
             paths = self._array.empty(operator.device.queue, launch.paths, np.float32)
             launch.run(
-                self._gradient_paths, **self._buffers, adjoint=factors, change=change, gradient=total,
+                self._gradient_paths, **self.buffers, adjoint=factors, change=change, gradient=total,
                 path_tangent=paths,
             )  # fmt: skip
             tangent += paths.get().reshape(-1, len(operator.pixels)).sum(axis=0, dtype=float)
@@ -288,7 +235,7 @@ class RadianceTable:
 def _with_neighbours(values: np.ndarray) -> np.ndarray:
     """Sums over a voxel and the 26 around it, shape (x, y, z, ...).
 
-    SciPy's uniform_filter takes twice the time, much of the host's in an iteration.
+    SciPy's uniform_filter takes twice the time, much of the host's in an stream.
     """
     for axis in range(3):
         before = np.moveaxis(values, axis, 0)

@@ -101,6 +101,11 @@ class Medium:
             if wanted
         )
 
+    @property
+    def struct(self) -> Any:
+        """The kernels' Scene."""
+        return self._structs[False]
+
     def _clear(self, occupied: np.ndarray) -> Any:
         blocks = occupied_blocks(occupied, empty_shift(self.scene))
         return self.device.constant(empty_distances(blocks, self.scene.boundary.horizontal == "periodic"))

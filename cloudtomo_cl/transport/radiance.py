@@ -32,10 +32,9 @@ FIXED_POINT_SCALE = 2.0**32
 # Of adjoints: beyond, a voxel's sum, which has up to 2^31 of them, may be more than single precision holds.
 _LARGEST_ADJOINT = 1e28
 # What a work item does in a launch is bounded: watchdogs end launches that are too long, and some
-# drivers loops (Mesa's llvmpipe all loops of a work item after 65,535 rounds, and says nothing). Paths
-# that a pixel sums up, and that it walks, of some hundred rounds each.
+# drivers loops (Mesa's llvmpipe all loops of a work item after 65,535 rounds, and says nothing): paths
+# that a pixel sums up.
 _LONGEST_SUM = 1 << 15
-_PATHS_OF_ITEM = 32
 # On the device: extinction and what skips empty blocks; sums; stored paths. On the host: what sums become.
 _BYTES_PER_VOXEL, _BYTES_PER_PIXEL, _BYTES_PER_PATH, _HOST_BYTES_PER_PIXEL = 8, 48, 4, 160
 
@@ -84,11 +83,9 @@ class StoredLaunch:
         """Runs a kernel on them; given are its own arguments, beside those of all replays."""
         self._pace.launch(kernel, self.paths, **self._arguments, **arguments)
 
-    def run_pixels(self, kernel: Any, pixels: int, **arguments: Any) -> None:
-        """Runs a kernel of one work item a pixel, which walks the paths `begin` to `end` of its pixel."""
-        for begin, end in parts(self._samples, _PATHS_OF_ITEM):
-            self._pace.device.launch(kernel, pixels, **self._arguments, begin=begin, end=end, **arguments)
-            self._pace.device.queue.finish()
+    def run_rows(self, kernel: Any, pixels: int, **arguments: Any) -> None:
+        """Runs a kernel on the paths of so many of the pixels (`first_pixel` is among the arguments)."""
+        self._pace.launch(kernel, pixels * self._samples, **self._arguments, **arguments)
 
 
 class RadianceOperator:
@@ -161,6 +158,7 @@ class RadianceOperator:
         # Views from afar look through all of the atmosphere.
         self.mask = mask
         self.features = self._medium.features
+        self.scene_struct = self._medium.struct
         self._views = self.device.constant(view_structs(self.views, scene.grid, scene.top))
         self._rays = self.device.constant(ray_array(self.views, scene))
         self._pixels = self.device.constant(self.pixels)

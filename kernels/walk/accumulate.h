@@ -58,6 +58,9 @@ inline void accumulate(volatile __global Accumulator *sum, float value)
 }
 #endif
 
+/* Whether a sum has left its range. */
+inline bool has_overflowed(Accumulator sum) { return (ulong)sum + LARGEST_SUM >= 2ul * LARGEST_SUM; }
+
 /* A sum of many floats that does not drift: sum + low holds about twice the bits (Knuth's
  * two-sum; what `low` has gathered is carried over into `sum`, else it would drift itself). */
 inline void add_compensated(float *sum, float *low, float value)

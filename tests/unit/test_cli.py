@@ -232,7 +232,7 @@ def test_render_makes_a_preview_of_every_view(folder):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("absent.toml", "absent.toml: cannot be read"),
+        ("absent.toml", "absent.toml: no such file"),
         ("scene.toml --device no-such-device", "no OpenCL device 'no-such-device'"),
         ("below.toml", "below.toml: view[0] is wrong: position lies below the ground"),
         ("damaged.toml", "damaged.nc"),

@@ -55,7 +55,7 @@ def test_the_text_formats_tell_the_same_cloud(tmp_path, kind):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("3 2 3\n", "3 2 4\n", "3 levels, line 2 says 4"),
+        ("3 2 3\n", "3 2 4\n", "3 levels, the first line says 4"),
         ("2 0 1 0.6", "3 0 1 0.6", "outside of"),
         ("0.6 12.0", "0.6 0.0", "above 0 um"),
         ("0.6 12.0", "-0.6 12.0", "at least 0"),

@@ -299,7 +299,7 @@ def test_not_toml_names_the_line(folder):
 
 
 def test_absent_file_is_named(tmp_path):
-    with pytest.raises(SettingsError, match="absent.toml: cannot be read"):
+    with pytest.raises(SettingsError, match="absent.toml: no such file"):
         read_render_settings(tmp_path / "absent.toml")
 
 

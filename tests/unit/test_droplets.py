@@ -1,5 +1,7 @@
 """Extinction of liquid water in droplets."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -53,6 +55,12 @@ def test_what_is_impossible_is_named(arguments, message):
         (632.8, 1.33143, 6e-4, np.inf),
         # Pope and Fry 1997: water absorbs 0.340 m^-1 at 650 nm, which is 4 pi k / wavelength.
         (650.0, 1.331 - 1j * 0.340 * 650e-9 / (4 * np.pi), 6e-4, 0.1),
+        # Kedenburg et al. 2012 (Opt. Mat. Express 2, 1588), at 20 degrees C: windows and the band between.
+        (1060.0, 1.3243 - 1.248e-6j, 3e-3, 0.15),
+        (1240.0, 1.3221 - 1.135e-5j, 3e-3, 0.15),
+        (1300.0, 1.3212 - 1.376e-5j, 3e-3, 0.15),
+        (1450.0, 1.3186 - 3.208e-4j, 3e-3, 0.15),
+        (1650.0, 1.3145 - 8.101e-5j, 3e-3, 0.15),
     ],
 )
 def test_water_is_water(wavelength, index, real_error, relative_imaginary_error):
@@ -60,6 +68,15 @@ def test_water_is_water(wavelength, index, real_error, relative_imaginary_error)
     assert found.real == pytest.approx(index.real, abs=real_error)
     if np.isfinite(relative_imaginary_error):
         assert found.imag == pytest.approx(index.imag, rel=relative_imaginary_error)
+
+
+def test_water_between_its_bands_absorbs_as_segelstein_has_it():
+    """The table that miepython ships is another copy of Segelstein's."""
+    miepython = pytest.importorskip("miepython")
+    table = np.loadtxt(Path(miepython.__file__).parent / "data" / "segelstein81_index.txt", skiprows=4)
+    table = table[(table[:, 0] >= 1.0) & (table[:, 0] <= 2.4001)]
+    found = [-water_refractive_index(wavelength * 1e3).imag for wavelength in table[:, 0]]
+    np.testing.assert_allclose(found, table[:, 2], rtol=1e-9)
 
 
 def test_water_far_in_the_infrared_needs_an_index():

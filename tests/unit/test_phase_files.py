@@ -104,7 +104,7 @@ def test_file_without_radii_is_one_row(tmp_path):
         ({"angle": ("angle", ANGLE, {"units": "gon"})}, "angle has units 'gon', allowed are degree"),
         (
             {"effective_radius": ("effective_radius", [5.0, 10.0], {"units": "km"})},
-            "effective_radius has units 'km', allowed are um",
+            "effective_radius is 5e.09 to 1e.10 um, and droplets' are .* correct its units 'km'",
         ),
         ({"angle": ("angle", ANGLE[[0, 2, 1, 3, 4, 5, 6]])}, "angle must increase: entry 2 is 1, the one before it 5"),
         ({"angle": ("angle", ANGLE / 2)}, "angle runs from 0 to 90 degrees"),

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
+from scipy.sparse.linalg import LinearOperator
 
-from cloudtomo_cl.inversion.linear_model import Jacobian
 from cloudtomo_cl.inversion.uncertainty import bounded_minimum, roughness, standard_errors
 from cloudtomo_cl.reference.prior import smoothness_matrix
 
@@ -13,6 +13,23 @@ PIXELS = 90
 DRAWS = 400
 # Of a root mean square over the draws, five standard errors: a significance of 6e-7 for each of some 50 voxels.
 BOUND = 5 / np.sqrt(2 * DRAWS)
+
+
+class Dense(LinearOperator):
+    """What the standard errors use of a Jacobian, of an array."""
+
+    def __init__(self, values):
+        super().__init__(values.dtype, values.shape)
+        self.values = values
+
+    def _matmat(self, x):
+        return self.values @ x
+
+    def _rmatmat(self, y):
+        return self.values.T @ y
+
+    def curvature(self, weights):
+        return weights @ self.values**2
 
 
 @pytest.fixture
@@ -27,7 +44,7 @@ def problem(random):
 def found(problem, smoothness, draws=DRAWS, correct=lambda residual: residual):
     mask, jacobian, weights, deviation, _ = problem
     return standard_errors(
-        Jacobian(jacobian), weights, lambda random: deviation * random.standard_normal(PIXELS), correct, smoothness,
+        Dense(jacobian), weights, lambda random: deviation * random.standard_normal(PIXELS), correct, smoothness,
         0.3, mask, np.full(mask.sum(), np.inf), np.zeros(mask.sum()), draws, seed=1,
     )  # fmt: skip
 
@@ -85,7 +102,7 @@ def test_voxels_pressed_against_zero_have_small_errors(problem):
     voxels = mask.sum()
     pressed = np.arange(voxels) % 2 == 0
     errors = standard_errors(
-        Jacobian(jacobian), weights, lambda random: deviation * random.standard_normal(PIXELS), lambda r: r,
+        Dense(jacobian), weights, lambda random: deviation * random.standard_normal(PIXELS), lambda r: r,
         1.0, 0.3, mask, np.where(pressed, 0.0, np.inf), np.where(pressed, 1e3, 0.0), 50, seed=1,
     )  # fmt: skip
     assert (errors[pressed] == 0).all() and (errors[~pressed] > 0).all()

@@ -20,7 +20,8 @@ from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, standard_errors
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import Count
 from cloudtomo_cl.scene.scene import NotNegative, Positive
-from cloudtomo_cl.transport.derivatives import jacobian_footprint, table_footprint
+from cloudtomo_cl.transport.derivatives import table_footprint
+from cloudtomo_cl.transport.jacobian import jacobian_footprint
 from cloudtomo_cl.transport.radiance import Rendering, pooled
 
 _LOGGER = logging.getLogger(__name__)
@@ -93,9 +94,9 @@ class GaussNewton:
         """Iterations and window of an automatic stage."""
         return (self.iterations or 30, 30) if last else (4, 20)
 
-    def footprint(self, pixels: int, voxels: int) -> Footprint:
-        """What derivatives and table take."""
-        return table_footprint(voxels) + jacobian_footprint(pixels, voxels)
+    def footprint(self, pixels: int, voxels: int, longest: int) -> Footprint:
+        """What derivatives and table take, of a grid with so many voxels along its longest axis."""
+        return table_footprint(voxels) + jacobian_footprint(pixels, voxels, longest)
 
     def init(self, problem: Problem, extinction: np.ndarray) -> GaussNewtonState:
         """Before the first iteration; see `Solver`."""

@@ -126,56 +126,6 @@ def test_a_field_needs_a_mask(device):
         RadianceTable(RadianceOperator(SCENES["overhead sun"], VIEWS, device))
 
 
-def filled(operator, values):
-    """A field whose table some paths have filled, and a rendering to go on with."""
-    field = RadianceTable(operator)
-    nothing = pyopencl.array.zeros(operator.device.queue, GRID.shape, np.float32)
-    for iteration in range(4):
-        rendering = operator.render(values, 40, 3, iteration + 1, store_paths=True)
-        field.gradient(rendering, np.zeros((len(operator.pixels), 2)), nothing)
-    return field, operator.render(values, 20, 3, 9, store_paths=True)
-
-
-def test_the_jacobian_is_that_of_gradient_and_tangent(device, random):
-    """Of rays, whose pixels have no neighbours: the same sums, once by pixels and voxels, once by voxels, once by
-    pixels, to the rounding of 20 paths' sums in float32."""
-    values, mask = extinction(), np.ones(GRID.shape, bool)
-    origins, directions = random.uniform((0, 0, 0.5), (0.25, 0.25, 0.6), (50, 3)), random.normal(size=(50, 3))
-    rays = [RayView(origins, directions * (1, 1, 0) - (0, 0, 2))]
-    operator = RadianceOperator(SCENES["oblique, absorbing, ground"], rays, device, mask=mask)
-    field, rendering = filled(operator, values)
-    state = field.arrays()
-    jacobian = field.jacobian(rendering)
-    field.restore(state)
-    adjoint, change = random.normal(size=len(operator.pixels)), random.normal(size=GRID.shape).astype(np.float32)
-    halves = np.column_stack([adjoint, adjoint]) / 2
-    gradient, tangent = field.gradient(rendering, halves, pyopencl.array.to_device(device.queue, change))
-    for found, expected in ((adjoint @ jacobian, gradient.get()[mask]), (jacobian @ change[mask], tangent)):
-        np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max())
-
-
-def test_the_jacobian_does_not_depend_on_how_launches_are_cut(device, monkeypatch):
-    operator = RadianceOperator(SCENES["air, periodic"], VIEWS, device, mask=np.ones(GRID.shape, bool))
-    rendering = operator.render(extinction(), 20, 3, 1, store_paths=True)
-    found = []
-    for most in (32, 7):
-        monkeypatch.setattr("cloudtomo_cl.transport.radiance._PATHS_OF_ITEM", most)
-        found.append(RadianceTable(operator).jacobian(rendering))
-    assert found[0].any()
-    np.testing.assert_array_equal(*found)
-
-
-def test_derivatives_are_averaged_into_earlier_ones(device):
-    """mean + rate (new - mean), to the rounding of float32."""
-    operator = RadianceOperator(SCENES["air, periodic"], VIEWS, device, mask=np.ones(GRID.shape, bool))
-    renderings = [operator.render(extinction(), 20, 3, iteration, store_paths=True) for iteration in (1, 2)]
-    apart, together = RadianceTable(operator), RadianceTable(operator)
-    first, second = (apart.jacobian(rendering) for rendering in renderings)
-    mean = together.jacobian(renderings[0])
-    assert together.jacobian(renderings[1], mean, 0.25) is mean
-    np.testing.assert_allclose(mean, first + 0.25 * (second - first), rtol=1e-5, atol=1e-5 * np.abs(first).max())
-
-
 def test_neighbours_are_the_pixels_that_touch():
     """A corner of an image has 3 of them, an edge 5, a place inside 8; pixels that are not listed are none."""
     views = [OrthographicView(width=1.0, pixels=(4, 3), zenith=0, azimuth=0)] * 2

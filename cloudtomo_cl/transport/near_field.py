@@ -1,0 +1,151 @@
+"""Which voxels lie near which pixels' lines of sight, and in which blocks pixels and voxels are far from each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.opencl.layout import STRUCTS, TILE_WIDTH
+from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.scene.sensors import RayView, View
+
+# Edges of blocks: of pixels in their image; of voxels at least, doubled until there are no more pairs than these.
+PIXEL_EDGE = 4
+_VOXEL_EDGE = 2
+_MOST_PAIRS = 1 << 25
+
+
+def lines_of_sight(views: Sequence[View], pixels: np.ndarray, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """The rays through the middle of pixels.
+
+    Parameters
+    ----------
+    pixels : (view, row * width + column), shape (pixels, 2)
+
+    Returns
+    -------
+    origins, directions : in voxels from the domain's lower corner, shape (pixels, 3); directions of any length
+    """
+    grid = scene.grid
+    origins, directions = np.empty((2, len(pixels), 3))
+    for index, view in enumerate(views):
+        chosen = pixels[:, 0] == index
+        numbers = pixels[chosen, 1].astype(int)
+        if isinstance(view, RayView):
+            origins[chosen], directions[chosen] = view.starts(scene)[numbers], view.directions[numbers]
+            continue
+        origin, direction = view.rays(grid, scene.top)
+        width, height = view.pixels
+        place = np.column_stack(
+            [np.ones(len(numbers)), (numbers % width + 0.5) / width, (numbers // width + 0.5) / height]
+        )
+        origins[chosen], directions[chosen] = place @ origin, place @ direction
+    spacing = np.asarray(grid.spacing)
+    return (origins - grid.origin) / spacing, directions / spacing
+
+
+def tiles_of(views: Sequence[View], pixels: np.ndarray, scene: Scene, mask: np.ndarray) -> np.ndarray:
+    """The kernels' Tile of every pixel, shape (pixels,): a line of sight, as far as it is near voxels of the mask."""
+    origins, directions = lines_of_sight(views, pixels, scene)
+    steepness = np.abs(directions)
+    if scene.boundary.horizontal == "periodic":
+        # Along the vertical a line is in every layer once, whatever copies of the domain it goes through.
+        steepness[:, :2] *= directions[:, 2:] == 0
+    axis = np.argmax(steepness, axis=1)
+    rows = np.arange(len(pixels))
+    across = (axis[:, None] + np.array([1, 2])) % 3
+    along = directions[rows, axis]
+    tiles = np.zeros(len(pixels), STRUCTS["Tile"])
+    tiles["axis"] = axis
+    slope = directions[rows[:, None], across] / along[:, None]
+    tiles["slope"] = slope
+    tiles["centre"] = origins[rows[:, None], across] + (0.5 - origins[rows, axis])[:, None] * slope
+    first, last = _slabs_near(tiles, mask, scene.boundary.horizontal == "periodic")
+    tiles["first_slab"], tiles["slabs"] = first, np.maximum(last - first + 1, 0)
+    return tiles
+
+
+def _slabs_near(tiles: np.ndarray, mask: np.ndarray, periodic: bool) -> tuple[np.ndarray, np.ndarray]:
+    """The first and the last slab in which a tile may hold a voxel of the mask's bounding box."""
+    kept = np.argwhere(mask)
+    lower, upper = kept.min(axis=0), kept.max(axis=0)
+    axis = tiles["axis"]
+    first, last = lower[axis].astype(float), upper[axis].astype(float)
+    margin = TILE_WIDTH // 2 + 1  # and a voxel for rounding
+    for n in range(2):
+        other = (axis + 1 + n) % 3
+        bounded = ~(periodic & (other < 2))
+        centre, slope = tiles["centre"][:, n].astype(float), tiles["slope"][:, n].astype(float)
+        low, high = lower[other] - margin, upper[other] + 1 + margin
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = np.sort([(low - centre) / slope, (high - centre) / slope], axis=0)
+        level = slope == 0
+        outside = level & ((centre < low) | (centre > high))
+        enter, leave = np.where(level, -np.inf, ends[0]), np.where(level, np.inf, ends[1])
+        first = np.where(bounded, np.maximum(first, np.floor(enter)), first)
+        last = np.where(bounded, np.minimum(last, np.ceil(leave)), last)
+        last = np.where(bounded & outside, first - 1, last)
+    return first.astype(int), last.astype(int)
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """A division of things into blocks.
+
+    Attributes
+    ----------
+    of : the block of each, int32
+    start, members : those of block n are members[start[n] : start[n + 1]], uint32
+    """
+
+    of: np.ndarray
+    start: np.ndarray
+    members: np.ndarray
+
+    @classmethod
+    def by_label(cls, labels: np.ndarray) -> Blocks:
+        """Blocks of equal labels (an array of rows), numbered in their order."""
+        _, of = np.unique(labels, axis=0, return_inverse=True)
+        of = of.reshape(-1)
+        sizes = np.bincount(of)
+        start = np.concatenate([[0], np.cumsum(sizes)])
+        return cls(of.astype(np.int32), start.astype(np.uint32), np.argsort(of, kind="stable").astype(np.uint32))
+
+    def __len__(self) -> int:
+        return len(self.start) - 1
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """How many are in each, float32."""
+        return np.diff(self.start.astype(np.int64)).astype(np.float32)
+
+
+def pixel_blocks(views: Sequence[View], pixels: np.ndarray) -> Blocks:
+    """Squares of pixels of one image; of a list of rays each by itself."""
+    labels = np.empty((len(pixels), 3), np.int64)
+    for index, view in enumerate(views):
+        chosen = pixels[:, 0] == index
+        row, column = np.divmod(pixels[chosen, 1].astype(int), view.pixels[0])
+        edge = 1 if isinstance(view, RayView) else PIXEL_EDGE
+        labels[chosen] = np.column_stack([np.full(len(row), index), row // edge, column // edge])
+    return Blocks.by_label(labels)
+
+
+def voxel_blocks(mask: np.ndarray, pixel_blocks: int) -> Blocks:
+    """Cubes of the mask's voxels, as small as the number of pairs with pixel blocks allows.
+
+    Raises
+    ------
+    DataError : there are too many pixels for one block of voxels
+    """
+    places = np.argwhere(mask)
+    edge = _VOXEL_EDGE
+    while edge < 2 * max(mask.shape):
+        blocks = Blocks.by_label(places // edge)
+        if len(blocks) * pixel_blocks <= _MOST_PAIRS:
+            return blocks
+        edge *= 2
+    raise DataError(f"{pixel_blocks} blocks of pixels are more than derivatives are kept for: use fewer pixels")

@@ -1,0 +1,61 @@
+/* The near field of a Jacobian: the voxels around a pixel's line of sight.
+ *
+ * A pixel's tile has, in every slab of voxels along its main axis, TILE_WIDTH x TILE_WIDTH voxels around the line.
+ * A voxel's slot in it follows from its place; what is not in the tile is far. */
+#ifndef CLOUDTOMO_NEAR_FIELD_H
+#define CLOUDTOMO_NEAR_FIELD_H
+
+#define TILE_AREA (TILE_WIDTH * TILE_WIDTH)
+
+inline int component(int3 a, int axis) { return axis == 0 ? a.x : axis == 1 ? a.y : a.z; }
+
+/* Where the tile begins in a slab, along one of the other two axes (0, 1). */
+inline int tile_corner(const __global Tile *tile, int slab, int across)
+{
+    return (int)floor(tile->centre[across] + (float)slab * tile->slope[across]) - TILE_WIDTH / 2;
+}
+
+/* From a voxel to another one, the nearest of its periodic copies. */
+inline int nearest_copy(int offset, int count, bool wraps)
+{
+    if (!wraps)
+        return offset;
+    const int rest = offset % count;
+    return rest < 0 ? rest + count : rest;
+}
+
+/* A voxel's slot in a tile, or -1. */
+inline int tile_slot(const __constant Scene *scene, const __global Tile *tile, int3 voxel)
+{
+    const int axis = tile->axis, slab = component(voxel, axis) - tile->first_slab;
+    if (slab < 0 || slab >= tile->slabs)
+        return -1;
+    const int first = (axis + 1) % 3, second = (axis + 2) % 3;
+    const int at = slab + tile->first_slab;
+    const bool periodic = scene->periodic;
+    const int u = nearest_copy(component(voxel, first) - tile_corner(tile, at, 0), scene->shape[first], periodic && first < 2);
+    const int v = nearest_copy(component(voxel, second) - tile_corner(tile, at, 1), scene->shape[second], periodic && second < 2);
+    if (u < 0 || u >= TILE_WIDTH || v < 0 || v >= TILE_WIDTH)
+        return -1;
+    return (slab * TILE_WIDTH + u) * TILE_WIDTH + v;
+}
+
+/* The index of the voxel in a slot, in arrays [x][y][z]; -1 if it is outside of the grid. */
+inline int slot_index(const __constant Scene *scene, const __global Tile *tile, int slot)
+{
+    const int axis = tile->axis, first = (axis + 1) % 3, second = (axis + 2) % 3;
+    const int at = slot / TILE_AREA + tile->first_slab;
+    int place[3];
+    place[axis] = at;
+    place[first] = tile_corner(tile, at, 0) + slot / TILE_WIDTH % TILE_WIDTH;
+    place[second] = tile_corner(tile, at, 1) + slot % TILE_WIDTH;
+    for (int n = 0; n < 3; ++n) {
+        if (scene->periodic && n < 2 && n != axis)
+            place[n] = nearest_copy(place[n], scene->shape[n], true);
+        if (place[n] < 0 || place[n] >= scene->shape[n])
+            return -1;
+    }
+    return (place[0] * scene->shape[1] + place[1]) * scene->shape[2] + place[2];
+}
+
+#endif
