@@ -15,9 +15,9 @@ from types import ModuleType
 from typing import Any
 
 from cloudtomo_cl.commands import cloud, devices, flux, init, mie, reconstruct, render, report, validate
-from cloudtomo_cl.commands.stopping import exit_status, listening
+from cloudtomo_cl.commands.stopping import StopRequest, exit_status, listening
 from cloudtomo_cl.commands.streams import forgiving
-from cloudtomo_cl.errors import CloudtomoError, Interrupted, printable
+from cloudtomo_cl.errors import CloudtomoError, DeviceError, Interrupted, printable
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
@@ -84,6 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(command: str, options: dict[str, Any]) -> int:
+    stop = StopRequest()
     try:
         with listening(f"cloudtomo {command}") as stop:
             status = COMMANDS[command].run(**options) or 0
@@ -92,6 +93,11 @@ def _run(command: str, options: dict[str, Any]) -> int:
         return _ended(command, "all was done when it was interrupted", exit_status(stop.signal_number))
     except Interrupted as interrupted:
         return _ended(command, str(interrupted), interrupted.status)
+    except DeviceError as error:
+        if stop.signal_number is None:
+            return _ended(command, str(error), EXIT_ERROR)
+        # Ctrl-C reaches a driver's compiler, too, which then fails.
+        return _ended(command, f"interrupted: {error}", exit_status(stop.signal_number))
     except CloudtomoError as error:
         return _ended(command, str(error), EXIT_ERROR)
     except MemoryError as error:

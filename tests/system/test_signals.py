@@ -161,6 +161,23 @@ sys.exit(main(["devices"]))
     assert done.returncode == 130 and "all was done when it was interrupted" in done.stderr
 
 
+def test_a_library_that_waits_for_its_child_is_not_interrupted():
+    """As PoCL waits for its linker: a call that a signal interrupts is a kernel that does not build."""
+    code = """
+import ctypes, os, signal, subprocess, sys, threading
+from cloudtomo_cl.commands import devices
+from cloudtomo_cl.commands.cli import main
+def run():
+    child = subprocess.Popen(["sleep", "1"])
+    threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGTERM)).start()
+    print(ctypes.CDLL(None).waitpid(child.pid, None, 0) == child.pid)
+devices.run = run
+sys.exit(main(["devices"]))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.stdout, done.returncode) == ("True\n", 143)
+
+
 def test_a_pipe_that_closes_ends_quietly(folder):
     for words in (["devices"], ["cloud", "cloud.nc"], ["--help"]):
         reader, writer = os.pipe()
