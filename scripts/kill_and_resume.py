@@ -182,12 +182,12 @@ class Bench:
         """What a command writes."""
         if name in ("reconstruct", "report"):
             folder = self.folder / COMMANDS[name].split()[-1]
-            names = ("*.nc", "*.html", "figures/*.p*")
-            paths = [path for pattern in names for path in folder.glob(pattern)]
+            paths = [path for pattern in ("*.nc", "*.html", "figures/*.p*") for path in folder.glob(pattern)]
         else:
             paths = [self.folder / word for word in COMMANDS[name].split() if word.startswith("made_")]
             paths += sorted(self.folder.glob("previews/*.png")) if "previews" in COMMANDS[name] else []
-        return [path for path in paths if path.relative_to(self.folder).as_posix() not in OTHERS]
+        names = {path: path.relative_to(self.folder).as_posix() for path in paths if path.suffix != ".partial"}
+        return [path for path, name in names.items() if name not in OTHERS]
 
     def strike(self, name: str, way: str) -> None:
         """Starts a command and ends it; looks at what is left."""
