@@ -101,7 +101,7 @@ def _watched(request: StopRequest) -> Iterator[None]:
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) not in (signal.SIG_IGN, None):
             handlers[number] = signal.signal(number, _do_nothing)
-            # Libraries wait for children of theirs (PoCL for its linker), and take an interrupted call for a failed one.
+            # Libraries wait for children of theirs (PoCL for its linker), and take an interrupted call for a failure.
             if hasattr(signal, "siginterrupt"):
                 signal.siginterrupt(number, False)
     try:

@@ -4,9 +4,11 @@ import os
 import shutil
 import subprocess
 
+import numpy as np
 import pytest
 
 from cloudtomo_cl.commands.cli import main
+from cloudtomo_cl.files.extinction import read_extinction
 
 SCENE = """
 [cloud]
@@ -18,13 +20,18 @@ type = "orthographic"
 zenith = 0.0
 width = 0.8
 pixels = [8, 8]
+[[view]]
+type = "orthographic"
+zenith = 50.0
+width = 0.8
+pixels = [8, 8]
 """
 RUN = """
 [measurements]
 file = "images.nc"
 [[stage]]
 grid = [6, 6, 6]
-samples = 8
+samples = 64
 iterations = 2
 """
 CLOUD = "cloud --generate cumulus --shape 6 6 6 --spacing 0.1 0.1 0.1 --seed 1 --quiet --output"
@@ -39,7 +46,7 @@ def inputs(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         assert main([*CLOUD.split(), "cloud.nc"]) == 0
-        assert main("render scene.toml --samples 8 --quiet --output images.nc --png previews".split()) == 0
+        assert main("render scene.toml --samples 256 --quiet --output images.nc --png previews".split()) == 0
         assert main(f"flux scene.toml --photons 5000 --quiet --output fluxes.nc {PERIODIC}".split()) == 0
         assert main("cloud cloud.nc --png cloud.png --quiet".split()) == 0
         assert main("reconstruct run.toml --quiet --output run --no-report".split()) == 0
@@ -103,3 +110,32 @@ def test_a_full_disk_keeps_the_old_file_and_is_named(inputs, disk, monkeypatch, 
         return
     assert status == 2 and f"the disk of {disk} is full" in message and "Traceback" not in message, message
     assert contents(disk) == before and not list(disk.glob(".*"))
+
+
+@pytest.mark.parametrize("left", [0, 20_000, 60_000])
+def test_a_reconstruction_on_a_full_disk_goes_on_elsewhere(inputs, disk, tmp_path, monkeypatch, capsys, left):
+    monkeypatch.chdir(inputs)
+    fill(disk, left)
+    command = ["reconstruct", "run.toml", "--quiet", "--no-report", "--resume", "--output"]
+    assert main([*command, str(disk / "run")]) == 2
+    message = capsys.readouterr().err
+    assert f"the disk of {disk} is full" in message and "Traceback" not in message
+    assert not list(disk.rglob(".*"))
+    if (disk / "run").exists():
+        shutil.copytree(disk / "run", tmp_path / "run")
+    assert main([*command, str(tmp_path / "run")]) == 0
+    found, expected = (read_extinction(folder / "run" / "reconstruction.nc")[1] for folder in (tmp_path, inputs))
+    assert np.array_equal(found, expected)
+
+
+def test_a_report_on_a_full_disk_leaves_the_result(inputs, disk, monkeypatch, capsys):
+    monkeypatch.chdir(inputs)
+    needless = shutil.ignore_patterns("figures", "modelled.nc", "checkpoint.npz")
+    shutil.copytree(inputs / "run", disk / "run", ignore=needless)
+    fill(disk, 8192)
+    before = contents(disk / "run")
+    assert main(["report", str(disk / "run"), "--quiet"]) == 2
+    assert f"the disk of {disk} is full" in capsys.readouterr().err
+    after = contents(disk / "run")
+    after.pop(disk / "run" / "files.json", None), before.pop(disk / "run" / "files.json", None)
+    assert after == before

@@ -236,3 +236,18 @@ def test_a_terminal_that_closes_loses_nothing(folder):
     assert ct.read_extinction(folder / "run" / "reconstruction.nc")[1].max() > 0
     with xr.open_dataset(folder / "run" / "reconstruction.nc") as dataset:
         assert "interrupted" in dataset.attrs["state"]
+
+
+def test_of_two_runs_started_at_once_one_is_refused(folder):
+    """By the name of the other one, which ends as if alone."""
+    text = RUN.replace("iterations = 3", "iterations = 30\nwindow = 1000").replace("samples = 8", "samples = 64")
+    (folder / "run.toml").write_text(text)
+    words = [*PROGRAM, *"reconstruct run.toml --output run --no-report".split()]
+    both = [subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) for _ in range(2)]
+    messages = [process.communicate(timeout=120)[1] for process in both]
+    statuses = [process.returncode for process in both]
+    assert sorted(statuses) == [0, 2], messages
+    refused = statuses.index(2)
+    assert f"another run is at work in this folder (process {both[1 - refused].pid} on " in messages[refused]
+    assert len((folder / "run" / "history.csv").read_text().splitlines()) == 31
+    assert not (folder / "run" / ".lock").exists()
