@@ -264,8 +264,8 @@ def _refuse_unlikely(path: Any, radiance: np.ndarray, error: np.ndarray) -> None
         view, row, column = np.argwhere(wrong)[0]
         raise DataError(
             f"{path}: radiance of view {view} at row {row}, column {column} is {radiance[view, row, column]:g} (and "
-            f"{int(wrong.sum()) - 1} more are like it), which is no noise: if it marks invalid pixels, set them to NaN or "
-            f"say so with the attribute _FillValue"
+            f"{int(wrong.sum()) - 1} more are like it), which is no noise: if it marks invalid pixels, set them to NaN "
+            "or say so with the attribute _FillValue"
         )
 
 

@@ -11,6 +11,7 @@ from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion.voxels import Voxels
+from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, device_errors
 from cloudtomo_cl.scene.scene import NotNegative, Positive
 
@@ -176,25 +177,24 @@ class PriorOperator:
 
     @device_errors("the prior")
     def __init__(self, prior: Prior, shape: tuple[int, int, int], device: Device) -> None:
-        import pyopencl.array as cl_array
-
         self.prior = prior
         self.device = device
         self.shape = shape
-        self._cl_array = cl_array
         self._kernels = {
             name: device.kernel("prior", name)
             for name in ("laplacian", "monotonicity_terms", "prior_gradient")
         }
         self._smooth, self._work, self._value, self._outer, self._inner = (
-            cl_array.zeros(device.queue, shape, np.float32) for _ in range(5)
+            device.zeros(shape, np.float32) for _ in range(5)
         )
 
     def _launch(self, name: str, *arguments: Any, **named: Any) -> None:
         self.device.launch(self._kernels[name], int(np.prod(self.shape)), *arguments, **named)
 
     @device_errors("the prior")
-    def value_and_gradient(self, extinction: Any, weight: float = 1.0, noise: float = 0.0) -> tuple[float, Any]:
+    def value_and_gradient(
+        self, extinction: DeviceArray, weight: float = 1.0, noise: float = 0.0
+    ) -> tuple[float, DeviceArray]:
         """The prior's value, and its gradient (km) on the device, for an extinction on the device.
 
         weight : N, factor of smoothness and monotonicity
@@ -207,7 +207,7 @@ class PriorOperator:
             "monotonicity_terms",
             extinction, shape, prior.c1, prior.c2, prior.threshold, self._value, self._outer, self._inner,
         )  # fmt: skip
-        gradient = self._cl_array.empty_like(extinction)
+        gradient = self.device.empty(shape, np.float32)
         self._launch(
             "prior_gradient",
             smooth=self._smooth,
@@ -231,7 +231,5 @@ class PriorOperator:
 
     def of_array(self, extinction: np.ndarray, weight: float, noise: float) -> tuple[float, np.ndarray]:
         """As `value_and_gradient`, of an array on the host; the gradient is on the host, too."""
-        value, gradient = self.value_and_gradient(
-            self._cl_array.to_device(self.device.queue, extinction), weight, noise
-        )
+        value, gradient = self.value_and_gradient(self.device.array(extinction), weight, noise)
         return value, gradient.get()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from cloudtomo_cl.inversion.objective import AveragedImage
 from cloudtomo_cl.inversion.pixels import ActivePixels, active_pixels
 from cloudtomo_cl.inversion.priors import BoundPrior, NoiseUnits, Prior, Regulariser, bound_prior
 from cloudtomo_cl.inversion.voxels import Voxels
+from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
 from cloudtomo_cl.scene.grid import Grid, coarsened
 from cloudtomo_cl.scene.measurements import Measurements
@@ -184,10 +185,8 @@ class Problem:
         measured = self.active.unit
         return NoiseUnits(measured, measured + 2 * modelled_noise / len(self.active), self.prior_weight)
 
-    def _nothing(self) -> Any:
-        import pyopencl.array
-
-        return pyopencl.array.zeros(self.operator.device.queue, self.grid.shape, np.float32)
+    def _nothing(self) -> DeviceArray:
+        return self.operator.device.zeros(self.grid.shape, np.float32)
 
     def _checked(self, x: np.ndarray) -> np.ndarray:
         x = np.asarray(x, float)

@@ -19,6 +19,7 @@ import numpy as np
 
 from cloudtomo_cl.errors import BuildError, DeviceError
 from cloudtomo_cl.opencl import kernel_cache
+from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.parameters import KERNELS, Kernel
 
 ENVIRONMENT_VARIABLE = "CLOUDTOMO_DEVICE"
@@ -278,11 +279,30 @@ class Device:
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
         return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values))
 
-    def launch(self, kernel: Any, work_items: int, *arguments: Any, **named: Any) -> None:
-        """Runs a kernel on at least `work_items` work items (kernels skip the rest)."""
+    def array(self, values: np.ndarray) -> DeviceArray:
+        """A copy of an array, on the device."""
+        import pyopencl.array
+
+        return pyopencl.array.to_device(self.queue, np.ascontiguousarray(values))
+
+    def zeros(self, shape: Any, dtype: Any) -> DeviceArray:
+        """An array of zeros on the device."""
+        import pyopencl.array
+
+        return pyopencl.array.zeros(self.queue, shape, dtype)
+
+    def empty(self, shape: Any, dtype: Any) -> DeviceArray:
+        """An array on the device whose values are not set."""
+        import pyopencl.array
+
+        return pyopencl.array.empty(self.queue, shape, dtype)
+
+    def launch(self, kernel: Any, work_items: int, *arguments: Any, global_offset: int = 0, **named: Any) -> None:
+        """Runs a kernel on at least `work_items` work items from `global_offset` on (kernels skip the rest)."""
         groups = -(-work_items // WORK_GROUP_SIZE)
         with device_errors(f"device {self.name}: launching {kernel.function_name}"), self.lock:
-            kernel(self.queue, (groups * WORK_GROUP_SIZE,), (WORK_GROUP_SIZE,), *arguments, **named)
+            offset = {"global_offset": (global_offset,)} if global_offset else {}
+            kernel(self.queue, (groups * WORK_GROUP_SIZE,), (WORK_GROUP_SIZE,), *arguments, **offset, **named)
 
 
 class Pace:

@@ -47,6 +47,19 @@ STRUCTS: dict[str, np.dtype] = {
             ("first_ray", np.int32),  # in the array of rays; -1: affine
         ]
     ),
+    "VirtualCollision": np.dtype(
+        [
+            ("position", np.float32, 3),  # voxel units
+            ("direction", np.float32, 3),  # unit vector
+            ("voxel", np.int32, 3),
+            ("throughput", np.float32),  # of the flight's path
+            ("share", np.float32),  # of the flight in its end's local estimate
+            ("event", np.uint32),  # number of the flight
+            ("aside", np.int32),  # whether it is a side flight
+            ("path", np.uint32),  # in its launch
+            ("of", np.uint32),  # so many of its path, of which it is kept
+        ]
+    ),
     "Tile": np.dtype(  # of a pixel's near field: near_field.h
         [
             ("axis", np.int32),  # along which its line of sight crosses most voxels

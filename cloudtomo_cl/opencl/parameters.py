@@ -45,6 +45,11 @@ _TABLE = (
     "const __global float *sunlight",  # [column]: direct, share of the irradiance
     "volatile __global Accumulator *table_sums",  # [column][bin][2]: km, sr^-1 km
 )
+_GRADIENT = (
+    "const __global float2 *adjoint",  # per pixel: even, odd samples
+    "const __global float *virtual_extinction",  # [x][y][z], km^-1; below 0: nothing is deposited
+    "volatile __global Accumulator *gradient",  # [x][y][z]
+)
 _TILES = (
     "__constant Scene *scene",
     "const __global Tile *tiles",
@@ -86,8 +91,20 @@ KERNELS: dict[str, tuple[str, ...]] = {
     ),
     "replay_paths": (
         *_REPLAY,
-        "const __global float2 *adjoint",  # per pixel: even, odd samples
-        "volatile __global Accumulator *gradient",  # [x][y][z]
+        *_GRADIENT,
+        "__global VirtualCollision *virtual_collisions",
+        "volatile __global uint *virtual_collision_count",
+    ),
+    "virtual_paths": (
+        *PATHS,
+        *_GRADIENT,
+        "const __global VirtualCollision *virtual_collisions",
+        "const uint count",
+    ),
+    "path_lengths": (
+        *PATHS,
+        "const float unit",  # of the sums, per km
+        "volatile __global Accumulator *lengths",  # [x][y][z]
     ),
     "gradient_paths": (
         *_REPLAY,
@@ -308,9 +325,17 @@ class Kernel:
         self._places = {parameter.name: place for place, parameter in enumerate(self._parameters)}
         self.function_name = name
 
-    def __call__(self, queue: Any, size: tuple[int, ...], group: tuple[int, ...], *values: Any, **named: Any) -> Any:
+    def __call__(
+        self,
+        queue: Any,
+        size: tuple[int, ...],
+        group: tuple[int, ...],
+        *values: Any,
+        global_offset: tuple[int, ...] | None = None,
+        **named: Any,
+    ) -> Any:
         """Launches it; see `arguments`."""
-        return self._opencl(queue, size, group, *self.arguments(*values, **named))
+        return self._opencl(queue, size, group, *self.arguments(*values, **named), global_offset=global_offset)
 
     def arguments(self, *values: Any, **named: Any) -> list[Any]:
         """All arguments as pyopencl takes them.

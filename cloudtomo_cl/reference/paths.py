@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -207,6 +207,10 @@ class Flight:
     voxel: tuple[int, int, int] | None = None
     through_side: bool = False
 
+    def length_from(self, start: np.ndarray) -> float:
+        """km to where it collided; infinite if it did not."""
+        return float(np.linalg.norm(self.position - start)) if self.collided else np.inf
+
 
 def fly(
     scene: Scene, extinction: np.ndarray, position: np.ndarray, direction: np.ndarray, reach: float = np.inf
@@ -252,16 +256,21 @@ def transmittance(scene: Scene, extinction: np.ndarray, position: np.ndarray, di
 
 
 def met_particle(
-    scene: Scene, extinction: np.ndarray, effective_radius: np.ndarray | None, flight: Flight, u: float, u_row: float
+    scene: Scene, extinction: np.ndarray, effective_radius: np.ndarray | None, flight: Flight, u: float, u_row: float,
+    virtual: np.ndarray | None = None,
 ) -> tuple[Particle, float, float]:
-    """The particle of a collision, its single-scattering albedo, and 1 / extinction of a droplet, else 0."""
+    """The particle of a collision, its single-scattering albedo, and 1 / extinction of a droplet, else 0.
+
+    virtual : extinction of virtual droplets, which is added to the last; shape of the grid, km^-1 (gradient.py)
+    """
     if flight.voxel is not None:
         levels, layers = air_layers(scene)
         air = layers[int(np.argmin(np.abs(levels - scene.grid.origin[2]))) + flight.voxel[2]]
         droplets = extinction[flight.voxel]
         if u * (droplets + air) < droplets:
             radius = None if effective_radius is None else effective_radius[flight.voxel]
-            return *droplet_in_voxel(scene, radius, u_row), 1 / droplets
+            added = 0.0 if virtual is None else virtual[flight.voxel]
+            return *droplet_in_voxel(scene, radius, u_row), 1 / (droplets + added)
     return Particle("molecule"), scene.air.single_scattering_albedo, 0.0  # type: ignore[union-attr]
 
 
@@ -313,30 +322,57 @@ def local_estimate(
 def side_flights(
     scene: Scene, extinction: np.ndarray, effective_radius: np.ndarray | None, position: np.ndarray,
     before: np.ndarray, particle: Particle, weight: float, count: float, history: np.ndarray, number: int,
-    random: Iterator[np.ndarray], truncation: float = np.inf,
+    random: Iterator[np.ndarray], truncation: float = np.inf, virtual: np.ndarray | None = None,
+    flown: Callable[[np.ndarray, float, float], None] = lambda *_: None,
 ) -> Iterator[Contribution]:
     """The next order's sunlight by `number` flights drawn around the sun (docs/reference/random-numbers.md).
 
     They share the estimate with the path's own next flight by the balance heuristic
-    (Veach and Guibas 1995); `count` is the mean of `number`.
+    (Veach and Guibas 1995); `count` is the mean of `number`. `flown` is called with every flight's direction, length
+    (km) and share of the estimate.
     """
     sun, row = scene.sun.direction, middle_row(scene)
     for _ in range(number):
         w, w_next = next(random), next(random)
         direction = direction_around(sun, sample_droplet(scene, row, w[2]), w[3])
+        density = scatter_density(scene, particle, before, direction)
+        if density == 0:
+            continue
+        share = density / (density + count * droplet_density(scene, row, direction @ sun))
         flight = fly(scene, extinction, position, direction, -np.log(w[0]))
+        flown(direction, flight.length_from(position), share)
         if not flight.collided:
             continue
         assert flight.position is not None, "what collided is somewhere"
-        target, albedo, inverse = met_particle(scene, extinction, effective_radius, flight, w[1], w_next[1])
-        density = scatter_density(scene, particle, before, direction)
-        sun_density = droplet_density(scene, row, direction @ sun)
-        estimate = weight * albedo * density * scatter_density(scene, target, direction, sun)
-        estimate /= density + count * sun_density
+        target, albedo, inverse = met_particle(scene, extinction, effective_radius, flight, w[1], w_next[1], virtual)
+        estimate = weight * albedo * share * scatter_density(scene, target, direction, sun)
         onward = history - flight.lengths
         if inverse:
             onward[flight.voxel] += inverse
         yield local_estimate(scene, extinction, flight.position, estimate, onward, w_next[0], truncation)
+
+
+@dataclass(frozen=True)
+class VirtualCollision:
+    """Where another path begins: with a droplet that is not there (gradient.py).
+
+    Attributes
+    ----------
+    number : of the path's flight that meets it
+    position, direction : km; the direction the flight comes along
+    voxel : that holds the position
+    weight : of the path on the flight
+    share : of the flight in the local estimate at its end
+    aside : whether it is a side flight
+    """
+
+    number: int
+    position: np.ndarray
+    direction: np.ndarray
+    voxel: tuple[int, int, int]
+    weight: float
+    share: float
+    aside: bool
 
 
 @dataclass(frozen=True)
@@ -368,7 +404,9 @@ class Event:
 def walk(
     scene: Scene, extinction: np.ndarray, effective_radius: np.ndarray | None, position: np.ndarray,
     direction: np.ndarray, block: Callable[[int], np.ndarray],
-    leave: Callable[[int, Flight, np.ndarray, float], None] = lambda *_: None,
+    leave: Callable[[int, Flight, np.ndarray, float], None] = lambda *_: None, virtual: np.ndarray | None = None,
+    flown: Callable[[int, np.ndarray, np.ndarray, float, float], None] = lambda *_: None,
+    start: VirtualCollision | None = None,
 ) -> Iterator[Event]:
     """The random walk.
 
@@ -378,19 +416,33 @@ def walk(
     block : the uniform numbers of a block
     leave : called with event number, flight, direction and weight wherever the path leaves all that
         scatters, also on its way to the surface
+    virtual : as in `met_particle`
+    flown : called with event number, start, direction, length (km) and weight of every flight
+    start : begins with scattering by a droplet there, instead of a flight
 
     Source: docs/reference/random-numbers.md.
     """
     history, weight, number = np.zeros(scene.grid.shape), 1.0, 0
+    if start is not None:
+        weight, number = start.weight, start.number - 1
     while True:
         number += 1
         u, v = block(BLOCKS_PER_EVENT * number), block(BLOCKS_PER_EVENT * number + 1)
-        flight = fly(scene, extinction, position, direction, -np.log(u[0]))
+        if start is not None and number == start.number:
+            radius = None if effective_radius is None else effective_radius[start.voxel]
+            particle, albedo = droplet_in_voxel(scene, radius, v[3])
+            flight = Flight(np.zeros(scene.grid.shape), 0.0, position, True, start.voxel)
+            inverse = 0.0
+        else:
+            flight = fly(scene, extinction, position, direction, -np.log(u[0]))
+            flown(number, position, direction, flight.length_from(position), weight)
         history = history - flight.lengths
         if flight.position is not None:
             position = flight.position
         if flight.collided:
-            particle, albedo, inverse = met_particle(scene, extinction, effective_radius, flight, u[1], v[3])
+            if start is None or number > start.number:
+                met = met_particle(scene, extinction, effective_radius, flight, u[1], v[3], virtual)
+                particle, albedo, inverse = met
             if inverse:
                 history[flight.voxel] += inverse
         else:
@@ -431,13 +483,35 @@ def path(
     def block(number: int) -> np.ndarray:
         return uniforms(seed, iteration, view_index, pixel, sample, number)
 
-    sun, wide_g = scene.sun.direction, scene.cloud.phase_function.g ** 2
-    jitter = block(0)
+    position, direction = first_ray(scene, view, pixel, block(0))
+    events = walk(scene, extinction, effective_radius, position, direction, block)
+    return gather(scene, extinction, effective_radius, events, block, with_side_flights, truncation)
+
+
+def first_ray(scene: Scene, view: View, pixel: int, jitter: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The ray of a pixel's sample, as `camera_ray`; `jitter` places it in the pixel."""
     width = view.pixels[0]
-    position, direction = camera_ray(view, scene.grid, pixel % width + jitter[0], pixel // width + jitter[1])
+    return camera_ray(view, scene.grid, pixel % width + jitter[0], pixel // width + jitter[1])
+
+
+def gather(
+    scene: Scene, extinction: np.ndarray, effective_radius: np.ndarray | None, events: Iterator[Event],
+    block: Callable[[int], np.ndarray], with_side_flights: bool, truncation: float = np.inf, own_share: float = 1.0,
+    virtual: np.ndarray | None = None,
+    flown: Callable[[Event, np.ndarray, float, float], None] = lambda *_: None,
+    shared: Callable[[Event, float], None] = lambda *_: None,
+) -> list[Contribution]:
+    """Local estimates at the events of a walk, and those of side flights.
+
+    Parameters
+    ----------
+    own_share : of the walk's first flight in the local estimate at its end
+    flown : called with the event, direction, length (km) and share of every side flight
+    shared : called with the event and the share of the flight that goes on from there
+    """
+    sun, wide_g = scene.sun.direction, scene.cloud.phase_function.g ** 2
     contributions: list[Contribution] = []
-    own_share = 1.0
-    for event in walk(scene, extinction, effective_radius, position, direction, block):
+    for event in events:
         if event.particle.kind == "surface":
             own_share = 1.0  # side flights estimate collisions only
         towards_sun = own_share * event.weight * event.albedo
@@ -449,6 +523,7 @@ def path(
         contributions.append(
             local_estimate(scene, extinction, event.position, towards_sun, event.history, roulette, truncation)
         )
+        own_share = 1.0
         if with_side_flights and event.survivor > 0:
             count = SIDE_FLIGHT_RATE * event.survivor * henyey_greenstein(event.direction @ sun, wide_g)
             count = min(max(count, SIDE_FLIGHT_LEAST), SIDE_FLIGHT_MOST)
@@ -457,11 +532,13 @@ def path(
             contributions.extend(
                 side_flights(
                     scene, extinction, effective_radius, event.position, event.direction, event.particle,
-                    event.survivor, count, event.history, int(count + v[2]), random, truncation,
+                    event.survivor, count, event.history, int(count + v[2]), random, truncation, virtual,
+                    partial(flown, event),
                 )
             )
             density = scatter_density(scene, event.particle, event.direction, event.onward)
             own_share = density / (density + count * droplet_density(scene, middle_row(scene), event.onward @ sun))
+        shared(event, own_share)
     return contributions
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator
 
 from cloudtomo_cl.errors import DataError, TransportError
+from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, device_errors
 from cloudtomo_cl.opencl.layout import DERIVATIVE_UNIT, TILE_WIDTH
 from cloudtomo_cl.opencl.memory import Footprint
@@ -38,8 +39,6 @@ class NearField:
 
     @device_errors("the structure of the derivatives")
     def __init__(self, operator: RadianceOperator, column: Any) -> None:
-        import pyopencl.array as cl_array
-
         assert operator.mask is not None
         self.device, self.column = operator.device, column
         self.scene_struct = operator.scene_struct
@@ -62,12 +61,12 @@ class NearField:
         places = np.zeros((self.voxels, 4), np.uint16)
         places[:, :3] = np.argwhere(operator.mask)
         self.place = constant(places)
-        counts = cl_array.zeros(self.device.queue, self.pixels, np.uint32)
+        counts = self.device.zeros(self.pixels, np.uint32)
         self._launch("near_count", self.pixels, counts=counts)
         row_start = np.concatenate([[0], np.cumsum(counts.get(), dtype=np.int64)])
         self.entries = int(row_start[-1])
         self.row_start = constant(row_start.astype(np.uint32))
-        self.columns = cl_array.empty(self.device.queue, max(self.entries, 1), np.int32)
+        self.columns = self.device.empty(max(self.entries, 1), np.int32)
         self._launch("near_fill", self.pixels, row_start=self.row_start, columns=self.columns)
         self._transpose(row_start)
 
@@ -115,7 +114,7 @@ class Jacobian(LinearOperator):
     near, far : their values on the device, float32
     """
 
-    def __init__(self, structure: NearField, near: Any, far: Any) -> None:
+    def __init__(self, structure: NearField, near: DeviceArray, far: DeviceArray) -> None:
         super().__init__(np.dtype(np.float32), (structure.pixels, structure.voxels))
         self._structure, self._near, self._far = structure, near, far
         self._buffers: dict[Any, Any] = {}
@@ -184,7 +183,7 @@ class Jacobian(LinearOperator):
         )  # fmt: skip
         return result.get()
 
-    def _sum_members(self, vectors: int, name: str, blocks: Blocks, given: Any, result: Any) -> None:
+    def _sum_members(self, vectors: int, name: str, blocks: Blocks, given: DeviceArray, result: DeviceArray) -> None:
         if name not in self._buffers:
             constant = self._structure.device.constant
             self._buffers[name] = {"member_start": constant(blocks.start), "members": constant(blocks.members)}
@@ -192,14 +191,12 @@ class Jacobian(LinearOperator):
             vectors, "sum_members", len(blocks), block_count=len(blocks), **self._buffers[name], x=given, result=result
         )
 
-    def _arrays(self, vectors: int, *lengths: int) -> list[Any]:
+    def _arrays(self, vectors: int, *lengths: int) -> list[DeviceArray]:
         """Arrays on the device for so many vectors of these lengths; made once."""
-        import pyopencl.array as cl_array
-
         key = (vectors, *lengths)
         if key not in self._buffers:
-            queue = self._structure.device.queue
-            self._buffers[key] = [cl_array.empty(queue, (length, vectors), np.float32) for length in lengths]
+            device = self._structure.device
+            self._buffers[key] = [device.empty((length, vectors), np.float32) for length in lengths]
         return self._buffers[key]
 
     def _launch(self, vectors: int, name: str, work_items: int, **arguments: Any) -> None:
@@ -229,15 +226,13 @@ class JacobianSums:
 
     @device_errors("the derivatives")
     def __init__(self, operator: RadianceOperator) -> None:
-        import pyopencl.array as cl_array
-
-        self._array, self._operator = cl_array, operator
+        self._operator = operator
         self._table = RadianceTable(operator)
         self.structure = NearField(operator, self._table.column)
-        queue, own = operator.device.queue, self.structure
-        self._near = cl_array.zeros(queue, max(own.entries, 1), np.float32)
-        self._far = cl_array.zeros(queue, (len(own.pixel_blocks), len(own.voxel_blocks)), np.float32)
-        self._far_sums = cl_array.zeros(queue, self._far.shape, np.int64)
+        device, own = operator.device, self.structure
+        self._near = device.zeros(max(own.entries, 1), np.float32)
+        self._far = device.zeros((len(own.pixel_blocks), len(own.voxel_blocks)), np.float32)
+        self._far_sums = device.zeros(self._far.shape, np.int64)
         constant = operator.device.constant
         self._sizes = {
             "block_pixels": constant(own.pixel_blocks.sizes), "block_voxels": constant(own.voxel_blocks.sizes)
@@ -257,13 +252,13 @@ class JacobianSums:
         AuditError, TransportError : as `RadianceOperator.gradient`
         """
         self._table.prepare(rendering)
-        own, operator, queue = self.structure, self._operator, self._operator.device.queue
+        own, operator = self.structure, self._operator
         unit = operator.scene.sun.irradiance / rendering.samples * rate / DERIVATIVE_UNIT
-        overflown = self._array.zeros(queue, 1, np.uint32)
+        overflown = operator.device.zeros(1, np.uint32)
         self._far_sums.fill(0)
         for first, count in self._rows():
             slots = int(own.slot_start_on_host[first + count] - own.slot_start_on_host[first])
-            sums = self._array.zeros(queue, max(slots, 1), np.int64)
+            sums = operator.device.zeros(max(slots, 1), np.int64)
             self._add_paths(rendering, first, count, sums)
             operator.device.launch(
                 operator.device.kernel("near_field", "average_near"), count, scene=own.scene_struct, column=own.column,
@@ -282,7 +277,7 @@ class JacobianSums:
                 "the optics are extreme, or the device is at fault; use fewer paths at a time, or another device"
             )
 
-    def _add_paths(self, rendering: Rendering, first: int, count: int, sums: Any) -> None:
+    def _add_paths(self, rendering: Rendering, first: int, count: int, sums: DeviceArray) -> None:
         own = self.structure
         kernel = self._operator.device.kernel("jacobian", "jacobian_paths", self._table.features)
         for launch in self._operator.stored_launches(rendering):

@@ -22,6 +22,7 @@ from cloudtomo_cl.scene.seeds import checked_seed
 from cloudtomo_cl.scene.sensors import View
 from cloudtomo_cl.transport.audit import Audit, Budget, check_replays
 from cloudtomo_cl.transport.medium import FilledMedium, Medium
+from cloudtomo_cl.transport.virtual_collisions import VirtualCollisions
 
 Estimator = Literal["side-flights", "plain"]
 
@@ -77,11 +78,24 @@ class StoredLaunch:
     paths: int
     _samples: int
     _pace: Pace
-    _arguments: dict[str, Any]
+    _walk: dict[str, Any]
+    _stored: dict[str, Any]
+
+    @property
+    def _arguments(self) -> dict[str, Any]:
+        return self._walk | self._stored
 
     def run(self, kernel: Any, **arguments: Any) -> None:
         """Runs a kernel on them; given are its own arguments, beside those of all replays."""
         self._pace.launch(kernel, self.paths, **self._arguments, **arguments)
+
+    def run_part(self, kernel: Any, begin: int, end: int, **arguments: Any) -> None:
+        """Runs a kernel on the paths `begin` to `end`; begin is a multiple of the work groups' size."""
+        self._pace.device.launch(kernel, end - begin, global_offset=begin, **self._arguments, **arguments)
+
+    def walk(self, kernel: Any, work_items: int, **arguments: Any) -> None:
+        """Runs a kernel that walks other paths of the same pixels: it knows nothing of the stored ones."""
+        self._pace.device.launch(kernel, work_items, **self._walk, **arguments)
 
     def run_rows(self, kernel: Any, pixels: int, **arguments: Any) -> None:
         """Runs a kernel on the paths of so many of the pixels (`first_pixel` is among the arguments)."""
@@ -108,7 +122,7 @@ class RadianceOperator:
         makes the images too dark; `Rendering.audit.truncated` says by how much. By default nothing
 
     mask : bool, shape of the grid, where there may be droplets. Elsewhere every extinction must be 0
-        and gradients mean nothing, for walks skip what is clear; by default everywhere
+        and gradients are 0, for walks skip what is empty; by default everywhere
 
     Source: the supplement's Eqs. 1-19; docs/explanation/radiance.md.
 
@@ -164,7 +178,7 @@ class RadianceOperator:
         self._pixels = self.device.constant(self.pixels)
         self._render_paths = self.device.kernel("image", "render_paths", self._medium.features)
         self._sum_paths = self.device.kernel("image", "sum_paths", self._medium.features)
-        self._replay_paths = self.device.kernel("replay", "replay_paths", self._medium.features)
+        self._virtual_collisions = VirtualCollisions(self.device, self._medium.features)
         self._pace = Pace(self.device)
 
     @renamed_arguments(iteration="stream", keep_paths="store_paths")
@@ -287,8 +301,10 @@ class RadianceOperator:
         return Rendering(mean, standard_error, halves, samples, seed, stream, audit, medium, launches)
 
     @device_errors("the gradient")
-    def gradient(self, rendering: Rendering, adjoint: np.ndarray) -> Any:
+    def gradient(self, rendering: Rendering, adjoint: np.ndarray, filling_limit: float | None = None) -> Any:
         """The gradient of a cost with respect to extinction, by replay of a rendering's paths.
+
+        It is unbiased in every voxel of the mask, those of extinction 0 included; outside of the mask it is 0.
 
         Parameters
         ----------
@@ -296,6 +312,9 @@ class RadianceOperator:
         adjoint : derivative of the cost with respect to `rendering.halves`, shape (pixels, 2).
             For an unbiased gradient the entry of one half must not depend on that half's own
             paths (see `objective.crossed_halves`).
+        filling_limit : extinction, km^-1, up to which voxels are filled with virtual droplets, see
+            kernels/replay.cl. It changes noise and time, not the mean, if it is above 0: without them voxels of
+            extinction 0 are biased. By default such that a path meets half a one
 
         Returns
         -------
@@ -303,7 +322,8 @@ class RadianceOperator:
 
         Raises
         ------
-        DataError : the rendering did not keep its paths; adjoint has another shape, or values beyond single precision
+        DataError : the rendering did not keep its paths; adjoint has another shape, or values beyond single precision;
+            filling_limit is negative
         AuditError : paths bring other radiances than before
         TransportError : a voxel's sum has overflowed
         """
@@ -311,13 +331,16 @@ class RadianceOperator:
             raise DataError("this rendering kept no paths: render with store_paths=True")
         if adjoint.shape != (len(self.pixels), 2):
             raise DataError(f"adjoint has shape {adjoint.shape}, not ({len(self.pixels)}, 2)")
+        if filling_limit is not None and not 0 <= filling_limit < np.inf:
+            raise DataError(f"filling_limit is {filling_limit}: it must be finite and at least 0 km^-1")
         queue = self.device.queue
         total = self._array.zeros(queue, self.scene.grid.shape, np.int64)
         largest = largest_adjoint(adjoint)
         if largest > 0:
             factors = self.device.constant((adjoint / largest * FIXED_POINT_SCALE).astype(np.float32))
+            virtual = self._virtual_collisions.extinction(self, rendering, filling_limit)
             for launch in self.stored_launches(rendering):
-                launch.run(self._replay_paths, adjoint=factors, gradient=total)
+                self._virtual_collisions.run(launch, adjoint=factors, virtual_extinction=virtual, gradient=total)
             require_sums(total.get(), "the gradient", "voxel")
         scale = largest / FIXED_POINT_SCALE * self.scene.sun.irradiance / (rendering.samples // 2)
         with self.device.lock:  # pyopencl's own kernels, too, are shared by threads
@@ -335,9 +358,9 @@ class RadianceOperator:
             raise DataError("this rendering kept no paths: render with store_paths=True")
         astray = self._array.zeros(self.device.queue, 1, np.uint32)
         for first, paths in rendering._launches:
-            given = self._arguments(rendering._medium, first, paths.size, rendering.seed, rendering.stream)
-            given |= {"path_radiance": paths, "astray": astray}
-            yield StoredLaunch(paths.size, paths.size // len(self.pixels), self._pace, given)
+            walk = self._arguments(rendering._medium, first, paths.size, rendering.seed, rendering.stream)
+            stored = {"path_radiance": paths, "astray": astray}
+            yield StoredLaunch(paths.size, paths.size // len(self.pixels), self._pace, walk, stored)
         check_replays(int(astray.get()[0]), rendering.samples * len(self.pixels))
 
     def images(self, values: np.ndarray) -> list[np.ndarray]:

@@ -49,8 +49,10 @@ inline float exponential(float a)
     const int exponent = (int)(a * 1.44269504f - 0.5f); /* rounded: a is not above 0 */
     /* ln 2 in two parts, of which the first times the exponent is exact. */
     const float rest = (a - (float)exponent * 0.693359375f) + (float)exponent * 2.12194440e-4f;
+    /* clang-format off */
     const float power = 1.0f + rest * (1.0f + rest * (0.5f + rest * (0.166665099f + rest * (0.0416664468f
                         + rest * (0.00836987309f + rest * 0.0013936722f)))));
+    /* clang-format on */
     return power * as_float((uint)(exponent + 127) << 23);
 }
 

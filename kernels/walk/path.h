@@ -54,14 +54,12 @@ inline Termination termination_of(const __constant Scene *scene, const Ray *ray,
     return ray->direction.z > 0.0f ? TERMINATION_TOP : TERMINATION_BOTTOM;
 }
 
-/* Walks a whole path from its first ray. */
-inline void walk_path(const Medium *medium, Ray first_ray, const SampleKey *key, Tally *tally)
+/* Walks a path on to its end. Of `at`, the last interaction, count the ray along which the path is to go on, the
+ * throughput, and the number of the segment that begins there. */
+inline void walk_on(const Medium *medium, Interaction at, const SampleKey *key, Tally *tally)
 {
     const __constant Scene *scene = medium->scene;
-    Interaction at; /* the last; its ray is where the path is */
-    at.ray = first_ray;
-    at.throughput = 1.0f;
-    for (at.event = 1u;; ++at.event) {
+    for (;; ++at.event) {
         const float4 u = uniforms(key, at.event * BLOCKS_PER_EVENT + BLOCK_EVENT);
         const float4 v = uniforms(key, at.event * BLOCKS_PER_EVENT + BLOCK_ROULETTE);
         const Segment segment = {at.ray, -logarithm(u.x), at.throughput, at.event};
@@ -98,6 +96,16 @@ inline void walk_path(const Medium *medium, Ray first_ray, const SampleKey *key,
         on_scattering(medium, &at, new_direction, key, tally);
         at.ray.direction = new_direction;
     }
+}
+
+/* Walks a whole path from its first ray. */
+inline void walk_path(const Medium *medium, Ray first_ray, const SampleKey *key, Tally *tally)
+{
+    Interaction at;
+    at.ray = first_ray;
+    at.throughput = 1.0f;
+    at.event = 1u;
+    walk_on(medium, at, key, tally);
 }
 
 #endif

@@ -7,6 +7,13 @@
 /* Share of its radiance by which a replayed path may differ: rounding. */
 #define REPLAY_TOLERANCE 1e-4f
 
+/* Of a path: derivative of the cost with respect to its radiance, which even and odd samples of a pixel have apart. */
+inline float adjoint_of(const __global float2 *adjoint, uint pixel_in_list, uint sample)
+{
+    const float2 halves = adjoint[pixel_in_list];
+    return sample & 1u ? halves.y : halves.x;
+}
+
 /* Radiance that a path has still to gather, of a total; rounding counts as nothing. */
 inline float remaining_radiance(float total, float radiance)
 {

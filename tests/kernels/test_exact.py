@@ -56,7 +56,7 @@ def test_gradient_of_single_scattering_in_one_voxel(device, sun_zenith, g):
     operator = RadianceOperator(scene, [NADIR], device, estimator="plain")
     batches = []
     for iteration in range(20):
-        rendering = operator.render(np.full((1, 1, 1), EXTINCTION), 50_000, iteration=iteration, store_paths=True)
+        rendering = operator.render(np.full((1, 1, 1), EXTINCTION), 50_000, stream=iteration, store_paths=True)
         batches.append(operator.gradient(rendering, np.full((1, 2), 0.5)).get().item())
     standard_error = np.std(batches, ddof=1) / np.sqrt(len(batches))
     assert standard_error < 0.05 * expected

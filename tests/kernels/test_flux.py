@@ -129,3 +129,9 @@ def test_droplets_of_every_radius_absorb_as_their_row_says(device):
     expected = found.incident * (1 - np.exp(-0.02 * GRID.extent[2])) * np.array([0.0, 0.05, 0.075])
     absorbed, error = found.absorbed.value.mean(axis=1), np.sqrt((found.absorbed.standard_error**2).mean(axis=1) / 4)
     assert np.all(np.abs(absorbed - expected) <= 4 * error + 0.05 * expected)
+
+
+def test_what_is_transmitted_is_direct_and_diffuse_in_every_column(device):
+    scene = next(iter(BOUNDED.values()))
+    found = FluxOperator(scene, device).compute(extinction_of(scene), 20_000, seed=1)
+    np.testing.assert_allclose(found.transmitted.value, found.direct.value + found.diffuse.value)

@@ -35,7 +35,7 @@ def test_paths_have_the_radiances_of_the_reference(device, scene, estimator):
     extinction = extinction_of(scene)
     views = [ABOVE, CAMERA, RAYS, SCANNER, RADIOMETER, RADIOMETER_BELOW]
     operator = RadianceOperator(scene, views, device, estimator=estimator)
-    rendering = operator.render(extinction, SAMPLES, seed=SEED, iteration=ITERATION, store_paths=True)
+    rendering = operator.render(extinction, SAMPLES, seed=SEED, stream=ITERATION, store_paths=True)
     found = kernel_paths(rendering)
     expected = radiances(reference_paths(scene, extinction, operator, SAMPLES, SEED, ITERATION))
     lit = (found != 0) | (expected != 0)

@@ -10,8 +10,9 @@ from cloudtomo_cl.inversion.carving import carve, cloudy_pixels
 from cloudtomo_cl.scene import visibility
 from cloudtomo_cl.scene.grid import Grid, coarsened
 from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.scene import Air, Scene, Sun, Surface
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
-from cloudtomo_cl.scene.visibility import pixels_that_meet, pixels_that_see
+from cloudtomo_cl.scene.visibility import check_views, pixels_that_meet, pixels_that_see
 
 GRID = Grid(shape=(8, 8, 4), spacing=(0.1, 0.1, 0.1))
 # Each pixel looks down one column of voxels.
@@ -237,3 +238,30 @@ def test_rays_that_meet_the_domain_and_a_mask():
     np.testing.assert_array_equal(pixels_that_meet(DOWN, GRID), [[True, True, False]])
     np.testing.assert_array_equal(pixels_that_see(DOWN, GRID, mask), [[True, False, False]])
     assert not pixels_that_see(DOWN, GRID, np.zeros(GRID.shape, bool)).any()
+
+
+def test_a_pixel_meets_the_domain_by_any_of_its_corners():
+    """One pixel that is larger than the domain, which is at each of its corners in turn."""
+    pixel = OrthographicView(width=8.0, pixels=(1, 1), position=(4.0, 4.0, 5.0), target=(4.0, 4.0, 0.0), up=(0, 1, 0))
+    for x, y in ((0.0, 0.0), (0.0, 8.0), (8.0, 0.0), (8.0, 8.0)):
+        assert pixels_that_meet(pixel, Grid(shape=(1, 1, 1), spacing=(0.4,) * 3, origin=(x - 0.2, y - 0.2, 0.0))).all()
+
+
+def test_a_ray_sees_the_box_of_all_kept_voxels():
+    mask = np.zeros(GRID.shape, bool)
+    mask[1, 2, 0] = mask[3, 6, 3] = True
+    x, y = np.meshgrid((0.05, 0.15, 0.25, 0.35, 0.45), (0.15, 0.25, 0.65, 0.75))
+    origins = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
+    rays = RayView(origins, np.tile([0.0, 0.0, -1.0], (20, 1)), (5, 4))
+    expected = np.zeros((4, 5), bool)
+    expected[1:3, 1:4] = True
+    np.testing.assert_array_equal(pixels_that_see(rays, GRID, mask), expected)
+
+
+@pytest.mark.parametrize("scattering", [{"surface": Surface(albedo=0.1)}, {"air": Air(0.1)}])
+def test_a_view_past_the_domain_is_refused_only_where_nothing_else_scatters(scattering):
+    past = OrthographicView(width=0.4, pixels=(2, 2), position=(9.0, 9.0, 2.0), target=(9.0, 9.0, 0.0), up=(0, 1, 0))
+    scene = Scene(grid=GRID, sun=Sun(zenith=30.0), surface=Surface(albedo=0.0))
+    with pytest.raises(DataError, match="view 0 looks past the domain"):
+        check_views(scene, [past])
+    check_views(replace(scene, **scattering), [past])

@@ -8,6 +8,7 @@ from pydantic import TypeAdapter, ValidationError
 from cloudtomo_cl.errors import DataError, SettingsError
 from cloudtomo_cl.files.phase import write_phase_function
 from cloudtomo_cl.inversion.priors import Prior
+from cloudtomo_cl.inversion.solvers.choice import SolverTable
 from cloudtomo_cl.inversion.solvers.descent import SGD, Adam
 from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.inversion.stages import Stage
@@ -351,3 +352,8 @@ def test_settings_classes_refuse_unknown_arguments(table):
 def test_a_thousand_mistakes_are_answered_briefly(folder):
     stages = "stage = [" + ",".join(["{grid = [2, 2, 2], grit = 1}"] * 2000) + "]\n"
     assert 20 < len(run_error(folder, stages + RUN).splitlines()) <= 60
+
+
+@pytest.mark.parametrize("solver", [GaussNewton(), Adam(step_size=0.2)])
+def test_a_solver_is_taken_as_it_is(solver):
+    assert TypeAdapter(SolverTable).validate_python(solver) == solver

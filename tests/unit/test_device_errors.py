@@ -1,13 +1,16 @@
 """Devices that fail: every error of OpenCL becomes a named one with advice."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pyopencl as cl
 import pyopencl.array
 import pytest
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.errors import BuildError, DeviceError
+from cloudtomo_cl.errors import BuildError, DeviceError, TransportError
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors, kernels_folder, list_devices
+from cloudtomo_cl.opencl.layout import STRUCTS
 
 GRID = ct.Grid(shape=(2, 2, 2), spacing=(0.2, 0.2, 0.2))
 SCENE = ct.Scene(grid=GRID, sun=ct.Sun(zenith=30.0))
@@ -179,3 +182,16 @@ def test_a_device_that_is_known_to_compute_wrongly_is_told(monkeypatch):
     monkeypatch.setattr("cloudtomo_cl.opencl.device._FAULTS", {choose_device().name[:5]: "it cannot count"})
     with pytest.warns(RuntimeWarning, match="it cannot count"):
         choose_device()
+
+
+def test_one_pixel_that_is_not_finite_is_named():
+    sums = np.zeros(2, STRUCTS["PixelSums"])
+    sums["square_sum"][1] = np.inf
+    operator = SimpleNamespace(
+        pixels=np.array([[0, 3], [1, 5]]),
+        scene=SCENE,
+        device=SimpleNamespace(queue=None),
+        _cl=SimpleNamespace(enqueue_copy=lambda queue, host, given: host.__setitem__(slice(None), given)),
+    )
+    with pytest.raises(TransportError, match="not finite in view 1, pixel 5"):
+        ct.RadianceOperator._rendering(operator, sums, 4, 0, 0, None, None, [])

@@ -90,3 +90,25 @@ def test_a_fisheye_image_has_north_at_the_top_and_east_on_the_left():
 def test_an_impossible_fisheye_is_refused(pixels, field_of_view):
     with pytest.raises(ValueError, match="must be"):
         fisheye_rays((0, 0, 0), pixels, field_of_view)
+
+
+def test_a_view_that_looks_ahead_by_half_a_degree_stands_behind():
+    (view,) = StringOfViews(width=1.0, pixels=(8, 8), azimuth=90.0, along_track_angles=(0.5,)).views()
+    _, direction = view.rays(GRID)
+    sight = direction[0] + 0.5 * (direction[1] + direction[2])
+    assert np.degrees(np.arctan2(sight[1], -sight[2])) == pytest.approx(0.5)
+
+
+def test_a_ring_may_be_lower_than_a_kilometre():
+    assert len(RingOfViews(**{**RING, "height": 0.5}).views()) == 9
+
+
+def test_scans_are_not_flown_at_the_height_of_their_target():
+    with pytest.raises(ValidationError, match="above"):
+        StringOfScans(TARGET, TARGET[2], 1.0, 5.0, (8, 8))
+
+
+def test_a_fisheye_image_may_have_one_pixel():
+    view, circle = fisheye_rays((0, 0, 0), 1)
+    np.testing.assert_allclose(view.directions, [(0, 0, 1)])
+    assert circle.all()

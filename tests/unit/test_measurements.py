@@ -7,6 +7,7 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion.pixels import active_pixels
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.pixels import all_pixels
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, RayView
 
 
@@ -133,3 +134,21 @@ def test_unfit_calibration_errors_are_refused(random, errors, text):
     fine = measurements(random)
     with pytest.raises(DataError, match=text):
         Measurements(fine.views, fine.images, fine.standard_errors, errors)
+
+
+def test_differences_are_positive_where_the_model_is_brighter(random):
+    fine = measurements(random)
+    brighter = Measurements(fine.views, (fine.images[0] + 1.0,), (np.full((8, 12), 0.4),))
+    np.testing.assert_allclose(fine.differences(brighter)[0], 1.0 / 0.5)
+
+
+def test_measurements_are_told_in_a_line():
+    views = [OrthographicView(zenith=0, width=1.0, pixels=(2, rows)) for rows in (2, 3, 4, 5)]
+    images = tuple(np.full((rows, 2), 0.25) for rows in (2, 3, 4, 5))
+    told = repr(Measurements(tuple(views), images, images))
+    assert told.startswith("Measurements(4 views of 2 x 2, 2 x 3, 2 x 4, ... pixels, radiance 0.25 to 0.25")
+
+
+def test_all_pixels_of_wide_images_are_listed():
+    view = OrthographicView(zenith=0, width=1.0, pixels=(3, 2))
+    assert all_pixels([view, view]).tolist() == [[n, pixel] for n in (0, 1) for pixel in range(6)]

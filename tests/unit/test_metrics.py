@@ -43,3 +43,10 @@ def test_sums_of_many_small_voxels_keep_their_digits():
 def test_unfit_arrays_are_named(error, estimate, truth, text):
     with pytest.raises(DataError, match=text):
         error(estimate, truth)
+
+
+def test_the_first_voxel_that_is_not_finite_is_named():
+    estimate = TRUTH.copy()
+    estimate[0, 1] = np.nan
+    with pytest.raises(DataError, match=r"estimate at voxel \(0, 1, 0\)"):
+        epsilon(estimate, TRUTH)

@@ -1,11 +1,14 @@
 """The data term and its residuals, with images whose noise is known."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 
 from cloudtomo_cl.inversion.objective import AveragedImage, Gains, pixel_weights, relative_weights
 from cloudtomo_cl.inversion.pixels import ActivePixels
+from cloudtomo_cl.inversion.solvers.gauss_newton import _cost
 from cloudtomo_cl.scene.sensors import OrthographicView
 
 PIXELS = 400
@@ -145,3 +148,11 @@ def test_weights_by_the_level_do_not_favour_pixels_that_are_dark_by_chance(rando
     seen = ActivePixels((view,), pixels, radiance, np.full(side**2, noise), ())
     weights = pixel_weights(seen.level, seen.standard_error)
     assert np.average(radiance, weights=weights) == pytest.approx(1 - noise**2 / 9, abs=5 * noise / side)
+
+
+def test_the_standard_error_of_gauss_newtons_cost_is_its_scatter(random):
+    """The variance of an image is that of the mean of its two halves."""
+    gains = SimpleNamespace(gains=lambda residual, averaged: residual)
+    problem = SimpleNamespace(radiance=MEASURED, weights=WEIGHTS, active=gains)
+    found = np.array([_cost(problem, halves(random, MEASURED + 0.1), MEASURED) for _ in range(1000)])
+    assert np.sqrt(np.mean(found[:, 1] ** 2)) == pytest.approx(np.std(found[:, 0]), rel=0.1)

@@ -133,26 +133,21 @@ class _Descent:
         """Of the data term, and what the last step changed radiances by, if the table tells."""
         if state.table is None:
             return problem.operator.gradient(rendering, adjoint).get()[problem.mask], None
-        import pyopencl.array
-
-        change = problem.on_grid(state.extinction - state.before)
-        on_device = pyopencl.array.to_device(problem.operator.device.queue, change)
-        gradient, tangent = state.table.gradient(rendering, adjoint, on_device)
+        change = problem.operator.device.array(problem.on_grid(state.extinction - state.before))
+        gradient, tangent = state.table.gradient(rendering, adjoint, change)
         return gradient.get()[problem.mask], tangent
 
     @device_errors("the descent's step")
     def moved(self, state: DescentState, gradient: np.ndarray, device: Device) -> DescentState:
         """One step against a gradient, cost per km^-1."""
-        import pyopencl.array as cl_array
-
         length = self.step_length(state.steps)
         steps = state.steps + 1
         arrays = [
-            cl_array.to_device(device.queue, np.ascontiguousarray(array, np.float32))
+            device.array(np.asarray(array, np.float32))
             for array in (state.extinction, gradient, state.first_moment, state.second_moment)
         ]
         extinction, slope, *moments = arrays
-        everywhere = cl_array.to_device(device.queue, np.ones(gradient.size, np.uint8))
+        everywhere = device.array(np.ones(gradient.size, np.uint8))
         device.launch(
             device.kernel("optimizer", self._kernel),
             gradient.size,

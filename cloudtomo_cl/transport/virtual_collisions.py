@@ -1,0 +1,119 @@
+"""Virtual droplets, which make gradients right where there are few real ones or none (kernels/replay.cl)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.fixed_point import require_sums
+from cloudtomo_cl.opencl.layout import STRUCTS
+
+if TYPE_CHECKING:
+    from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering, StoredLaunch
+
+# Virtual collisions per path. The mean of gradients does not depend on it; their noise and time do
+# little (docs/measurements/derivatives.md).
+_COLLISIONS_PER_PATH = 0.5
+# Paths by whose lengths that is set, and the sums' unit: a share of a voxel's shortest edge.
+_PATHS, _UNIT = 1 << 13, 2.0**-20
+# Paths that are replayed together: each may leave a virtual collision behind.
+_PART = 1 << 20
+
+
+class VirtualCollisions:
+    """What the kernels of a gradient leave to each other.
+
+    Parameters
+    ----------
+    device : where they run
+    features : macros of the scene
+    """
+
+    def __init__(self, device: Device, features: tuple[str, ...]) -> None:
+        self._device = device
+        self._replay_paths = device.kernel("replay", "replay_paths", features)
+        self._virtual_paths = device.kernel("virtual", "virtual_paths", features)
+        self._path_lengths = device.kernel("lengths", "path_lengths", features)
+
+    def run(self, launch: StoredLaunch, **arguments: Any) -> None:
+        """Replays the paths of a launch, and walks those from their virtual collisions.
+
+        arguments : adjoint, virtual_extinction, gradient; of both kernels
+        """
+        import pyopencl
+        import pyopencl.array
+
+        size = min(_PART, launch.paths) * STRUCTS["VirtualCollision"].itemsize
+        collisions = pyopencl.Buffer(self._device.context, pyopencl.mem_flags.READ_WRITE, size)
+        for begin in range(0, launch.paths, _PART):
+            count = pyopencl.array.zeros(self._device.queue, 1, np.uint32)
+            launch.run_part(
+                self._replay_paths, begin, min(begin + _PART, launch.paths), **arguments,
+                virtual_collisions=collisions, virtual_collision_count=count,
+            )  # fmt: skip
+            found = int(count.get()[0])
+            if found:
+                launch.walk(self._virtual_paths, found, **arguments, virtual_collisions=collisions, count=found)
+
+    def extinction(self, operator: RadianceOperator, rendering: Rendering, limit: float | None) -> Any:
+        """Of the virtual droplets, km^-1, on the device, float32, shape of the grid; -1 outside of the mask.
+
+        Together with the cloud's droplets it is at least `limit` (km^-1) in every voxel; by default so much that a
+        path meets half a virtual droplet.
+        """
+        import pyopencl.array
+
+        extinction = rendering._medium.extinction.get()
+        if limit is None:
+            lengths = self._lengths(operator, rendering)
+            if operator.mask is not None:
+                lengths = lengths * operator.mask
+            limit = filling_limit(extinction, lengths, _COLLISIONS_PER_PATH)
+            if limit == 0.0:  # these paths have met nothing of the mask; the others may
+                limit = _COLLISIONS_PER_PATH / float(np.linalg.norm(operator.scene.grid.extent))
+        virtual = np.maximum(np.float32(limit) - extinction, np.float32(0))
+        if operator.mask is not None:
+            virtual[~operator.mask] = -1
+        return pyopencl.array.to_device(self._device.queue, virtual)
+
+    def _lengths(self, operator: RadianceOperator, rendering: Rendering) -> np.ndarray:
+        """km that a path flies through every voxel, on average over some paths of other random numbers."""
+        import pyopencl.array
+
+        count = len(operator.pixels)
+        evenly = np.unique(np.linspace(0, count - 1, min(count, _PATHS)).astype(int))
+        chosen = operator.of_pixels(operator.pixels[evenly])
+        paths = len(evenly) * -(-_PATHS // len(evenly))
+        given = chosen._arguments(rendering._medium, 0, paths, rendering.seed, rendering.stream)
+        lengths = pyopencl.array.zeros(self._device.queue, operator.scene.grid.shape, np.int64)
+        unit = 1.0 / (_UNIT * min(operator.scene.grid.spacing))
+        self._device.launch(self._path_lengths, paths, **given, unit=unit, lengths=lengths)
+        sums = lengths.get()
+        require_sums(sums, "the lengths of paths", "voxel")
+        return sums / (unit * paths)
+
+
+def filling_limit(extinction: np.ndarray, lengths: np.ndarray, collisions: float) -> float:
+    """The extinction, km^-1, to which voxels must be filled up for so many collisions with what fills them.
+
+    Parameters
+    ----------
+    extinction : km^-1, any shape
+    lengths : of a path through each voxel, km, same shape
+    collisions : wanted per path: the sum of (limit - extinction) x length where the extinction is below the limit
+
+    Returns 0 if no path crosses anything.
+    """
+    crossed = lengths > 0
+    if not crossed.any():
+        return 0.0
+    beta, length = extinction[crossed].astype(float), lengths[crossed].astype(float)
+    order = np.argsort(beta, kind="stable")
+    beta, length = beta[order], length[order]
+    # With the n thinnest filled up to a limit there are limit x their length - their depth collisions.
+    total, depth = np.cumsum(length), np.cumsum(beta * length)
+    limits = (collisions + depth) / total
+    above = np.append(beta[1:], np.inf)
+    return float(limits[np.argmax(limits <= above)])

@@ -1,0 +1,79 @@
+/* Paths from virtual collisions (replay.cl): what they bring is deposited into the voxel where they begin. A path
+ * goes on from there as its own path would have, had it met a droplet, with random numbers of its own. */
+#include "walk/accumulate.h"
+#include "walk/estimate.h"
+#include "walk/replayed.h"
+
+typedef struct {
+    float radiance, own_share; /* of radiance.h */
+    uint first_event;          /* of the virtual collision */
+    int index;                 /* of its voxel */
+} Tally;
+
+/* The path begins where its first segment has ended, in a droplet. */
+inline Flight tally_fly(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)
+{
+    if (segment->event > tally->first_event)
+        return fly(medium, ray, segment->optical_depth);
+    const Flight flight = {true, true, false, false, 0.0f, 1.0f, 0.0f, tally->index};
+    return flight;
+}
+
+inline void tally_segment(const Medium *medium, const Segment *segment, const Flight *flight, Particle end, float share,
+                          float local_radiance, Tally *tally)
+{
+}
+
+inline void tally_side_flight(const Medium *medium, const Segment *segment, const Flight *flight, Particle end,
+                              float share, float local_radiance, Tally *tally)
+{
+}
+
+inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalEstimate *estimate, Tally *tally) {}
+
+#include "walk/unbudgeted.h"
+#include "walk/radiance.h"
+
+/* Sunlight that a side flight which ends in a droplet there adds. */
+static float side_radiance(const Medium *medium, const Interaction *at, float share, int index, const SampleKey *key)
+{
+    const float4 v = uniforms(key, at->event * BLOCKS_PER_EVENT + BLOCK_ROULETTE);
+    float albedo;
+    const Particle droplet = choose_droplet(medium, index, v.w, &albedo);
+    const float weight = at->throughput * albedo * share
+                         * scatter_density(medium, droplet, at->ray.direction, sun_direction(medium->scene));
+    return local_estimate(medium, &at->ray, weight, LOCAL_ESTIMATE_ROULETTE, v.x).radiance;
+}
+
+__kernel void virtual_paths(VIRTUAL_PATHS_PARAMETERS)
+{
+    const size_t item = get_global_id(0);
+    if (item >= count)
+        return;
+    const __global VirtualCollision *from = virtual_collisions + item;
+    const uint sample = first_sample + from->path / pixel_count;
+    const uint pixel_in_list = from->path % pixel_count;
+    const uint2 pixel = pixels[pixel_in_list];
+    const SampleKey key = {seed, stream, pixel.y, pixel.x + VIRTUAL_PATHS_VIEW, sample};
+    const Medium medium = make_medium(MEDIUM_ARGUMENTS);
+    Interaction at;
+    at.ray.position = vload3(0, from->position);
+    at.ray.direction = vload3(0, from->direction);
+    at.ray.voxel = vload3(0, from->voxel);
+    at.ray.inside = true;
+    at.throughput = from->throughput;
+    at.event = from->event;
+    const int index = voxel_index(scene, at.ray.voxel);
+    float radiance;
+    if (from->aside) {
+        radiance = side_radiance(&medium, &at, from->share, index, &key);
+    } else {
+        Tally tally = {0.0f, from->share, from->event, index};
+        walk_on(&medium, at, &key, &tally);
+        radiance = tally.radiance;
+    }
+    const float droplets = extinction[index] + virtual_extinction[index];
+    const float each = (float)from->of / droplets; /* it stands for all of its path */
+    if (radiance != 0.0f)
+        accumulate(gradient + index, adjoint_of(adjoint, pixel_in_list, sample) * (radiance * each));
+}
