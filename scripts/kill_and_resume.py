@@ -74,7 +74,8 @@ iterations = 8
 """
 # The program, with fewer paths for the report's images.
 PROGRAM = (
-    "import sys; from cloudtomo_cl.commands import modelled; modelled.PATHS = modelled.FEWEST_SAMPLES = 16; "
+    "import signal, sys; signal.signal(signal.SIGINT, signal.SIG_DFL); "
+    "from cloudtomo_cl.commands import modelled; modelled.PATHS = modelled.FEWEST_SAMPLES = 16; "
     "from cloudtomo_cl.__main__ import main; sys.exit(main())"
 )
 COMMANDS = {
@@ -207,7 +208,8 @@ class Bench:
             os.close(terminal)
         # A run may have come to its end just before it was struck.
         if process.returncode not in (0, *WAYS[way]):
-            self.wrong.append(f"{name}, {way}: exit status {process.returncode}")
+            said = (self.folder / "said").read_text() if (self.folder / "said").exists() else ""
+            self.wrong.append(f"{name}, {way}: exit status {process.returncode}: {said}")
         kind = "not struck" if not struck else "in a write" if in_a_write else "elsewhere"
         self.counts[name, way, kind] += 1
         self.look(name, way)
@@ -281,7 +283,8 @@ def start(words: list[str], folder: Path, with_terminal: bool) -> tuple[int | No
     """A process, and its terminal if it shall have one of its own."""
     if not with_terminal:
         quiet = subprocess.DEVNULL
-        return None, subprocess.Popen(words, cwd=folder, stdin=quiet, stdout=quiet, stderr=quiet)
+        with open(folder / "said", "wb") as said:
+            return None, subprocess.Popen(words, cwd=folder, stdin=quiet, stdout=quiet, stderr=said)
     import fcntl
     import pty
     import termios

@@ -12,7 +12,6 @@ import tempfile
 from pathlib import Path
 
 from cloudtomo_cl.errors import DeviceError
-from cloudtomo_cl.files.whole import disk_of
 from cloudtomo_cl.memory import size_text
 
 VARIABLE = "POCL_CACHE_DIR"
@@ -50,8 +49,8 @@ def check() -> None:
     folder = _state.get("folder")
     if folder is not None and _free(folder) < _ROOM_FOR_ONE:
         raise DeviceError(
-            f"a kernel cannot be built: the disk of {disk_of(folder)}, where drivers keep them ({folder}), has "
-            f"{size_text(_free(folder))} free: make room there, or name another folder in {VARIABLE}"
+            f"a kernel cannot be built: the disk of {folder}, where drivers keep them, has {size_text(_free(folder))} "
+            f"free: make room there, or name another folder in {VARIABLE}"
         )
 
 

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from cloudtomo_cl.commands import cli, devices, fluxes, reconstruction, rendering, reporting
+from cloudtomo_cl.commands import cli, devices, fluxes, reconstruction, rendering
 from cloudtomo_cl.commands.cli import main
-from cloudtomo_cl.commands.run_folder import RunFolder
 from cloudtomo_cl.files.extinction import read_extinction, write_extinction
 from cloudtomo_cl.files.measurements import write_rays
 from cloudtomo_cl.inversion.priors import Prior
@@ -341,34 +340,6 @@ def test_report_of_a_moved_run_does_without_the_truth(folder, rendered, capsys):
     assert main(["report", "run"]) == 0 and "cloud.nc is not there any more" in capsys.readouterr().err
     # The result keeps the images.
     assert Path("run/figures/comparison.png").is_file() and not Path("run/figures/scatter.png").exists()
-
-
-def test_a_report_has_images_of_the_cloud_it_shows(folder, rendered, capsys):
-    """After a resume that was interrupted, modelled.nc is of an earlier iteration."""
-    Path("images.nc").write_bytes(rendered)
-    assert main("reconstruct run.toml --quiet --output run".split()) == 0
-    with xr.load_dataset("run/reconstruction.nc") as dataset:
-        dataset["extinction"] = dataset.extinction + 1.0
-        dataset.attrs["iterations"] = 2
-    dataset.to_netcdf("run/reconstruction.nc")
-    reporting.make_report(RunFolder("run"), quiet=True)
-    said = capsys.readouterr().err
-    assert "modelled.nc has images of another cloud than the result" in said
-    assert "the result is that of iteration 2, the history has 3: the later ones are left out" in said
-    assert "modelled mean" not in Path("run/report.html").read_text()
-    assert main(["report", "run"]) == 0
-    assert "rendering the images of the recovered cloud" in capsys.readouterr().out
-    assert np.array_equal(read_extinction("run/modelled.nc")[1], dataset.extinction)
-    assert "modelled mean" in Path("run/report.html").read_text()
-
-
-def test_a_report_compares_with_no_other_truth(folder, rendered, capsys):
-    Path("images.nc").write_bytes(rendered)
-    assert main("reconstruct run.toml --quiet --no-report --output run".split()) == 0
-    grid, extinction = read_extinction("cloud.nc")
-    write_extinction("cloud.nc", grid, 2 * extinction)
-    assert main(["report", "run"]) == 0 and "is not the truth that the run knew" in capsys.readouterr().err
-    assert not Path("run/figures/scatter.png").exists()
 
 
 def test_what_a_notebook_draws_with_is_not_asked_for(folder):
