@@ -24,5 +24,6 @@ def quick_reports():
     """A reconstruction's report has images of millions of paths, which no test looks at closely."""
     patch = pytest.MonkeyPatch()
     patch.setattr(modelled, "PATHS", 3e4)
+    patch.setattr(modelled, "FEWEST_SAMPLES", 16)
     yield
     patch.undo()

@@ -7,13 +7,17 @@ keywords and returns an exit status, or None for 0.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from types import ModuleType
+from typing import Any
 
 from cloudtomo_cl.commands import cloud, devices, flux, init, mie, reconstruct, render, report, validate
-from cloudtomo_cl.commands.stopping import ending_tidily
-from cloudtomo_cl.errors import CloudtomoError, Interrupted, printable
+from cloudtomo_cl.commands.stopping import StopRequest, exit_status, listening
+from cloudtomo_cl.commands.streams import forgiving
+from cloudtomo_cl.errors import CloudtomoError, DeviceError, Interrupted, printable
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
@@ -73,22 +77,51 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # A terminal that has no ± shows another sign for it, and does not end the command after its work.
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
-    options = vars(parser().parse_args(arguments))
-    command = options.pop("command")
+    with forgiving("cloudtomo"):
+        options = vars(parser().parse_args(arguments))
+        with without_display():
+            return _run(options.pop("command"), options)
+
+
+def _run(command: str, options: dict[str, Any]) -> int:
+    stop = StopRequest()
     try:
-        with ending_tidily():
-            return COMMANDS[command].run(**options) or 0
+        with listening(f"cloudtomo {command}") as stop:
+            status = COMMANDS[command].run(**options) or 0
+        if stop.signal_number is None:
+            return status
+        return _ended(command, "all was done when it was interrupted", exit_status(stop.signal_number))
     except Interrupted as interrupted:
         return _ended(command, str(interrupted), interrupted.status)
+    except DeviceError as error:
+        if stop.signal_number is None:
+            return _ended(command, str(error), EXIT_ERROR)
+        # Ctrl-C reaches a driver's compiler, too, which then fails.
+        return _ended(command, f"interrupted: {error}", exit_status(stop.signal_number))
     except CloudtomoError as error:
         return _ended(command, str(error), EXIT_ERROR)
     except MemoryError as error:
         return _ended(command, f"not enough memory ({error}): choose fewer pixels or voxels", EXIT_ERROR)
     except OSError as error:
-        # A disk, a terminal or a network drive that fails between the places that look for it.
+        # A disk or a network drive that fails between the places that look for it.
         return _ended(command, f"{error}: check the disk, permissions and the space left", EXIT_ERROR)
     except KeyboardInterrupt:
         return _ended(command, "interrupted", EXIT_INTERRUPTED)
+
+
+@contextmanager
+def without_display() -> Iterator[None]:
+    """Figures go into files: what a notebook or a desktop has chosen for its own may not even be installed here."""
+    name = "MPLBACKEND"
+    before = os.environ.get(name)
+    os.environ[name] = "agg"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
 
 
 def _ended(command: str, text: str, status: int) -> int:

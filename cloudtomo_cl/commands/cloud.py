@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cloudtomo_cl.commands import options
+from cloudtomo_cl.commands import options, stopping
 from cloudtomo_cl.errors import DataError, SettingsError, printable
 
 if TYPE_CHECKING:
@@ -87,17 +87,13 @@ def run(
     **reading: Any,
 ) -> None:
     """Reads or generates, changes, writes and summarises a cloud; `reading` are the fields of `ReadingOptions`."""
-    from cloudtomo_cl.files.netcdf import check_output
-
     if (file is None) == (generate is None):
         raise SettingsError("give either FILE, or --generate cumulus (or field, tower, stratocumulus)")
     if generate is None and shape is not None:
         raise SettingsError("--shape belongs to --generate; to change a file's voxels use --crop, --pad or --coarsen")
     if generate is not None and output is None:
         raise SettingsError("--generate needs --output too")
-    for path in (output, png):
-        if path is not None:
-            check_output(path, overwrite)
+    options.check_outputs(overwrite, output=output, png=png)
     steps = {"crop": crop, "pad": pad, "rotate": rotate, "coarsen": coarsen, "tile": tile}
     bounds = None if crop is None else _pairs("crop", crop, float, (None, None))
     clear = None if pad is None else _pairs("pad", pad, int, (0, 0))
@@ -109,12 +105,15 @@ def run(
             if name != "spacing" and value not in (None, "xyz", "refuse"):
                 raise SettingsError(f"--{name.replace('_', '-')} belongs to FILE, not to --generate: leave it out")
         volume = _generated(generate, shape, reading["spacing"], seed)
+    stopping.check()
     volume = _changed(volume, bounds, clear, rotate, coarsen, tile)
+    stopping.check()
     if output is not None:
         made: dict[str, Any] = {"generator": generate, "seed": seed} if file is None else {"cloud_file": file.name}
         made.update(shape=shape, **reading, **steps)
         _write(output, volume, {name: _plain(value) for name, value in made.items() if value is not None})
     if png is not None:
+        stopping.check()
         _plot(png, volume)
     if not quiet:
         for name, value in volume.summary().items():
@@ -224,11 +223,8 @@ def _write(output: Path, volume: CloudVolume, made: dict[str, Any]) -> None:
 
 
 def _plot(png: Path, volume: CloudVolume) -> None:
-    from cloudtomo_cl.report.plots import new_figure, plot_cloud
+    from cloudtomo_cl.report.plots import new_figure, plot_cloud, save_figure
 
     figure = new_figure(10, 7.5)
     plot_cloud(figure, volume.grid, volume.extinction, volume.effective_radius)
-    try:
-        figure.savefig(png, dpi=130)
-    except (OSError, ValueError) as error:
-        raise DataError(f"{png}: could not be drawn ({error}): the name must end in .png, .pdf or .svg") from None
+    save_figure(png, figure)

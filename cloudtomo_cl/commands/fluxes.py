@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from cloudtomo_cl.commands import progress
+from cloudtomo_cl.commands import progress, stopping
 from cloudtomo_cl.commands.provenance import describe_device, source, versions
 from cloudtomo_cl.files.extinction import extinction_dataset, read_effective_radius, read_extinction
-from cloudtomo_cl.files.netcdf import check_output, is_netcdf, save_dataset
+from cloudtomo_cl.files.netcdf import ENDINGS, check_output, is_netcdf, save_dataset
 from cloudtomo_cl.opencl.device import choose_device
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.settings.stored import kept_scene, stored_scene
@@ -79,8 +79,9 @@ class Result:
 def prepare(request: Request) -> Job:
     """Reads and checks everything, and builds the kernels. Raises what can be refused."""
     if request.output is not None:
-        check_output(request.output, request.overwrite)
+        check_output(request.output, request.overwrite, ENDINGS)
     scene, extinction, radius, made = _to_compute(request.scene, request.overrides)
+    stopping.check()
     return Job(
         request=request,
         operator=FluxOperator(scene, choose_device(request.device), effective_radius=radius),

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cloudtomo_cl.commands import options
-from cloudtomo_cl.errors import DataError, SettingsError
+from cloudtomo_cl.commands import options, stopping
+from cloudtomo_cl.errors import SettingsError
 
 if TYPE_CHECKING:
     from cloudtomo_cl.clouds.volume import CloudVolume
@@ -119,6 +119,7 @@ def run(
 ) -> None:
     """Writes a settings file."""
     from cloudtomo_cl.files.netcdf import check_output
+    from cloudtomo_cl.files.whole import written_whole
 
     if kind == "render" and (measurements is not None or truth is not None):
         raise SettingsError("--measurements and --truth belong to `cloudtomo init reconstruct`")
@@ -130,10 +131,9 @@ def run(
         text = scene_file(cloud, output.parent)
     else:
         text = run_file(measurements or output.parent / "images.nc", truth, output.parent)
-    try:
-        output.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"{output}: could not be written ({error.strerror})") from None
+    stopping.check()
+    with written_whole(output) as partial:
+        partial.write_text(text, encoding="utf-8")
     if not quiet:
         used = "--output images.nc --png previews" if kind == "render" else "--output run"
         print(f"{output} is written: look through it, then run\n  cloudtomo {kind} {output} {used}")

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cloudtomo_cl.commands import options
-from cloudtomo_cl.errors import DataError, SettingsError
+from cloudtomo_cl.commands import options, stopping
+from cloudtomo_cl.errors import SettingsError
 
 if TYPE_CHECKING:
     from cloudtomo_cl.scene.droplets import DropletTable
@@ -75,10 +75,9 @@ def run(
     from cloudtomo_cl.clouds.mie import droplet_table
     from cloudtomo_cl.commands import progress
     from cloudtomo_cl.commands.provenance import source, versions
-    from cloudtomo_cl.files.netcdf import check_output
     from cloudtomo_cl.files.phase import write_phase_function
 
-    check_output(output, overwrite)
+    options.check_outputs(overwrite, output=output, png=png)
     radii = _radii(effective_radius, count)
     index = None if refractive_index is None else complex(refractive_index[0], -refractive_index[1])
     console = Console(markup=False, emoji=False, quiet=quiet)
@@ -94,6 +93,7 @@ def run(
     for line in (*_lines(table), str(output)):
         console.print(line, highlight=False, soft_wrap=True)
     if png is not None:
+        stopping.check()
         _plot(png, table)
 
 
@@ -128,11 +128,8 @@ def _lines(table: DropletTable) -> Iterator[str]:
 
 
 def _plot(png: Path, table: DropletTable) -> None:
-    from cloudtomo_cl.report.plots import new_figure, plot_phase_function
+    from cloudtomo_cl.report.plots import new_figure, plot_phase_function, save_figure
 
     figure = new_figure(7, 4.5)
     plot_phase_function(figure.subplots(), table.phase_function)
-    try:
-        figure.savefig(png, dpi=130)
-    except (OSError, ValueError) as error:
-        raise DataError(f"{png}: could not be drawn ({error}): the name must end in .png, .pdf or .svg") from None
+    save_figure(png, figure)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cloudtomo_cl.commands import stopping
 from cloudtomo_cl.commands.provenance import describe_device, source, versions
 from cloudtomo_cl.commands.run_folder import RunFolder
 from cloudtomo_cl.files.measurements import write_measurements
@@ -13,8 +14,9 @@ from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.settings.stored import stored_scene
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
-# Some seconds on a CPU.
-PATHS, _FEWEST_SAMPLES = 3e6, 16
+# Some seconds on a CPU. With fewer a pixel its error does not hold: one that the few bright paths missed is too dark,
+# and takes itself to be certain.
+PATHS, FEWEST_SAMPLES = 3e6, 256
 
 
 def write_modelled(
@@ -34,8 +36,11 @@ def write_modelled(
     iteration : of the random numbers, one that the recovery did not use
     """
     operator = RadianceOperator(scene, measurements.views, device)
-    samples = max(_FEWEST_SAMPLES, 2 * round(PATHS / len(operator.pixels) / 2))
-    modelled = Measurements.rendered(operator, operator.render(extinction, samples, seed, iteration))
+    samples = max(FEWEST_SAMPLES, 2 * round(PATHS / len(operator.pixels) / 2))
+    stopping.check()
+    rendering = operator.render(extinction, samples, seed, iteration, progress=stopping.check)
+    modelled = Measurements.rendered(operator, rendering)
+    folder.claim(folder.modelled_file)
     write_measurements(
         folder.modelled_file,
         modelled,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-
-_SEEDS = 2**32
+from pathlib import Path
 
 
 def add_device(parser: argparse.ArgumentParser) -> None:
@@ -35,22 +34,43 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def check_outputs(overwrite: bool, output: Path | None, png: Path | None = None) -> None:
+    """Checks where a netCDF file and a picture shall go, before the work. DataError as `check_output`."""
+    from cloudtomo_cl.files.netcdf import ENDINGS, check_output
+    from cloudtomo_cl.report.plots import PICTURES
+
+    if output is not None:
+        check_output(output, overwrite, ENDINGS)
+    if png is not None:
+        check_output(png, overwrite, PICTURES, "--png")
+
+
 def seed(text: str) -> int:
     """A seed of the kernels: 32 bits, unsigned."""
-    if not text.isdigit() or int(text) >= _SEEDS:
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 0 to {_SEEDS - 1}")
+    from cloudtomo_cl.scene.seeds import SEEDS
+
+    if not text.isdigit() or int(text) >= SEEDS:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 0 to {SEEDS - 1}")
     return int(text)
 
 
 def share(text: str) -> float:
     """A share, as 1% or 0.01."""
     try:
-        value = float(text.rstrip("%")) / (100 if text.endswith("%") else 1)
+        value = float(text.removesuffix("%")) / (100 if text.endswith("%") else 1)
     except ValueError:
         value = float("nan")
-    if not 0 < value < 10:
-        raise argparse.ArgumentTypeError(f"{text!r} is no share above 0, such as 1%% or 0.01")
+    if not 0 < value < 1:
+        hint = f" ({text} would be {value:.0%}; {text} per cent are {text}%)" if 1 <= value < 100 else ""
+        raise argparse.ArgumentTypeError(f"{text!r} is no share between 0 and 1, such as 1% or 0.01{hint}")
     return value
+
+
+def samples(text: str) -> int:
+    """A number of paths per pixel: even, so that halves may be compared."""
+    if not text.isdigit() or int(text) < 2 or int(text) % 2:
+        raise argparse.ArgumentTypeError(f"{text!r} is no even number of paths per pixel from 2 on")
+    return int(text)
 
 
 def photons(least: float, most: float) -> Callable[[str], int]:

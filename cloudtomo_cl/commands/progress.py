@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -9,7 +10,10 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+from cloudtomo_cl.commands import stopping
 
 if TYPE_CHECKING:
     from cloudtomo_cl.inversion.records import IterationRecord
@@ -30,7 +34,7 @@ def rendering(console: Console, total: int, unit: str = "samples") -> Iterator[D
         columns = (TextColumn("rendering"), BarColumn(), TextColumn("{task.completed}/{task.total} " + unit))
         with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
             task = bar.add_task("rendering", total=total)
-            yield lambda done: bar.update(task, completed=done)
+            yield _stoppable(lambda done: bar.update(task, completed=done))
         return
     start = shown = time.monotonic()
 
@@ -42,7 +46,7 @@ def rendering(console: Console, total: int, unit: str = "samples") -> Iterator[D
             left = (now - start) * (total - done) / max(done, 1)
             console.print(f"rendering: {done}/{total} {unit}, {duration(left)} left")
 
-    yield line
+    yield _stoppable(line)
 
 
 @contextmanager
@@ -52,7 +56,7 @@ def counting(console: Console, what: str) -> Iterator[Callable[[int, int], None]
         columns = (TextColumn(what), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeRemainingColumn())
         with Progress(*columns, console=console, transient=True) as bar:
             task = bar.add_task(what, total=None)
-            yield lambda done, total: bar.update(task, completed=done, total=total)
+            yield _stoppable(lambda done, total: bar.update(task, completed=done, total=total))
         return
     start = shown = time.monotonic()
 
@@ -63,7 +67,17 @@ def counting(console: Console, what: str) -> Iterator[Callable[[int, int], None]
             shown = now
             console.print(f"{what}: {done}/{total}, {duration((now - start) * (total - done) / done)} left")
 
-    yield line
+    yield _stoppable(line)
+
+
+def _stoppable(show: Callable[..., None]) -> Callable[..., None]:
+    """What is called between launches and sizes is called in a safe place: there a request to stop is looked at."""
+
+    def shown(*done: int) -> None:
+        stopping.check()
+        show(*done)
+
+    return shown
 
 
 def duration(seconds: float) -> str:
@@ -100,16 +114,27 @@ class ReconstructionProgress:
         self._shown = time.monotonic()
         self._bar: Progress | None = None
         self._task: TaskID | None = None
+        self._start = self._at_last = time.monotonic()
+        # What is done until the first record, and between stages.
+        self._doing: str | None = "beginning"
+        self._messages = _Messages(self._do)
+        self._level = logging.NOTSET
 
     def __enter__(self) -> ReconstructionProgress:
         if self._console.is_terminal:
-            columns = (BarColumn(bar_width=10), TextColumn("{task.description}"), TimeElapsedColumn())
-            self._bar = Progress(*columns, console=self._console, transient=True)
+            self._bar = Progress(BarColumn(bar_width=10), _Live(self), console=self._console, transient=True)
             self._bar.start()
-            self._task = self._bar.add_task("building kernels", total=None)
+            self._task = self._bar.add_task("", total=None)
+        logger = logging.getLogger("cloudtomo_cl.inversion")
+        logger.addHandler(self._messages)
+        self._level = logger.level
+        logger.setLevel(logging.INFO)
         return self
 
     def __exit__(self, *_: object) -> None:
+        logger = logging.getLogger("cloudtomo_cl.inversion")
+        logger.removeHandler(self._messages)
+        logger.setLevel(self._level)
         if self._bar is not None:
             self._bar.stop()
         if self._last is not None:
@@ -125,11 +150,9 @@ class ReconstructionProgress:
         if self._last is not None and record.stage != self._last.stage:
             self._line(self._last)
             self._stage_start = self._last.seconds
-        self._last = record
+        self._last, self._doing, self._at_last = record, None, time.monotonic()
         if self._bar is not None and self._task is not None:
-            speed = f"{record.paths / max(record.seconds, 1e-3):.2g} paths/s"
-            text = f"{self._text(record)}  {speed}  {self._left(record)}"
-            self._bar.update(self._task, description=text, completed=record.iteration + 1, total=record.iterations)
+            self._bar.update(self._task, completed=record.iteration + 1, total=record.iterations)
         elif time.monotonic() - self._shown >= _PLAIN_LINE_SECONDS:
             self._line(record)
 
@@ -149,8 +172,42 @@ class ReconstructionProgress:
         return text if record.epsilon is None else f"{text}  eps {record.epsilon:.3f}"
 
     def _left(self, record: IterationRecord) -> str:
+        since = time.monotonic() - self._at_last
         pace = (record.seconds - self._stage_start) / (record.iteration + 1)
-        stage_left = max(record.iterations - record.iteration - 1, 0) * pace
+        stage_left = max(max(record.iterations - record.iteration - 1, 0) * pace - since, 0.0)
         if self._time_limit is None:
             return f"at most {duration(stage_left)} left in this stage"
-        return f"at most {duration(max(self._time_limit - record.seconds, 0.0))} left"
+        return f"at most {duration(max(self._time_limit - record.seconds - since, 0.0))} left"
+
+    def _do(self, what: str) -> None:
+        self._doing = what
+
+    def live(self) -> str:
+        """What the bar says now: it is asked several times a second, also where no iteration ends for minutes."""
+        elapsed = duration(time.monotonic() - self._start)
+        if self._last is None or self._doing is not None:
+            return f"{self._doing or 'beginning'}  {elapsed}"
+        speed = f"{self._last.paths / max(self._last.seconds, 1e-3):.2g} paths/s"
+        return f"{self._text(self._last)}  {speed}  {self._left(self._last)}  {elapsed}"
+
+
+class _Live(ProgressColumn):
+    """A column that asks what to say whenever it is drawn."""
+
+    def __init__(self, progress: ReconstructionProgress) -> None:
+        super().__init__()
+        self._progress = progress
+
+    def render(self, task: Task) -> Text:
+        return Text(self._progress.live())
+
+
+class _Messages(logging.Handler):
+    """Hands on what the recovery says that it does."""
+
+    def __init__(self, take: Callable[[str], None]) -> None:
+        super().__init__(logging.INFO)
+        self._take = take
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._take(record.getMessage())

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import platform
 from importlib.metadata import version
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 if TYPE_CHECKING:
     from cloudtomo_cl.opencl.device import Device
@@ -20,6 +23,11 @@ def source() -> str:
 def versions() -> dict[str, str]:
     """Of Python and of the packages that numbers depend on."""
     return {"python": platform.python_version(), **{package: version(package) for package in _PACKAGES}}
+
+
+def digest(array: np.ndarray) -> str:
+    """Of an array's numbers in double precision, by which to know them again."""
+    return hashlib.sha256(np.ascontiguousarray(array, np.float64).data).hexdigest()
 
 
 def describe_device(device: Device) -> dict[str, str]:

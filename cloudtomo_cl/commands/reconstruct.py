@@ -61,5 +61,7 @@ def run(**given: Any) -> None:
     """Reconstructs after a run file into a run folder."""
     from cloudtomo_cl.commands import reconstruction
 
-    job = reconstruction.prepare(reconstruction.Request(**given))
-    reconstruction.deliver(job, reconstruction.execute(job))
+    request = reconstruction.Request(**given)
+    with request.folder.held():
+        job = reconstruction.prepare(request)
+        reconstruction.deliver(job, reconstruction.execute(job))

@@ -6,28 +6,29 @@ import os
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 
+from cloudtomo_cl.commands import stopping
 from cloudtomo_cl.commands.modelled import write_modelled
 from cloudtomo_cl.commands.progress import ReconstructionProgress, duration
-from cloudtomo_cl.commands.provenance import describe_device, source, versions
+from cloudtomo_cl.commands.provenance import describe_device, digest, source, versions
 from cloudtomo_cl.commands.reporting import make_report
 from cloudtomo_cl.commands.run_folder import RunFolder
-from cloudtomo_cl.commands.stopping import StopRequest, exit_status
+from cloudtomo_cl.commands.stopping import exit_status
 from cloudtomo_cl.errors import DataError, DeviceError, Interrupted, SettingsError
 from cloudtomo_cl.files.measurements import read_measurements, read_settings
 from cloudtomo_cl.files.netcdf import is_netcdf
 from cloudtomo_cl.files.truth import read_truth
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint
-from cloudtomo_cl.inversion.reconstruct import check_memory, reconstruct
+from cloudtomo_cl.inversion.reconstruct import check, reconstruct
 from cloudtomo_cl.inversion.records import IterationRecord, Reconstruction
 from cloudtomo_cl.inversion.run import records
-from cloudtomo_cl.inversion.stages import stages_of
 from cloudtomo_cl.opencl.device import Device, choose_device
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.metrics import delta, epsilon
@@ -55,6 +56,11 @@ class Request:
     device: str | None
     quiet: bool
     overwrite: bool
+
+    @cached_property
+    def folder(self) -> RunFolder:
+        """Where it goes; to be held (`RunFolder.held`) from before `prepare` until after `deliver`."""
+        return RunFolder(self.output, self.overwrite)
 
     @property
     def resume_command(self) -> str:
@@ -124,17 +130,22 @@ def prepare(request: Request) -> Job:
     """Reads and checks everything. Raises what can be refused before the first path."""
     if request.resume and request.overwrite:
         raise SettingsError("--resume goes on with a run and --overwrite discards it: give one of them")
-    folder = RunFolder(request.output)
+    folder = request.folder
     resumed = folder.read_checkpoint() if request.resume else None
-    if resumed is None:
+    if request.resume:
         # Without a checkpoint there is nothing that a resume could lose.
-        folder.check_new(request.overwrite or request.resume)
+        folder.check_own()
+    else:
+        folder.check_new()
     settings, measurements, stored = _read(request)
     scene = settings.scene(stored.get("scene", {}))
     truth = None if settings.truth is None else read_truth(settings.truth.file, scene.grid)
     check_views(scene, measurements.views)
     device = choose_device(request.device)
-    check_memory(scene, measurements, stages_of(scene.grid, settings.stage, settings.solver), device)
+    seed = settings.run.seed if request.seed is None else request.seed
+    what = scene, measurements, settings.stage, settings.prior, settings.solver
+    check(*what, device=device, seed=seed, truth=truth, resume=resumed)
+    stopping.check()
     return Job(
         request=request,
         folder=folder,
@@ -143,7 +154,7 @@ def prepare(request: Request) -> Job:
         scene=scene,
         truth=truth,
         device=device,
-        seed=settings.run.seed if request.seed is None else request.seed,
+        seed=seed,
         resumed=resumed,
     )
 
@@ -176,15 +187,14 @@ def _read_measurements(path: Path) -> tuple[Measurements, dict[str, Any]]:
 
 def execute(job: Job) -> Outcome:
     """Recovers the cloud; the folder has a history and checkpoints from the first iteration on."""
+    stop = stopping.current()
     _say_what_begins(job)
     mask = _carve(job) if job.resumed is None else job.resumed.mask
     before = [] if job.resumed is None else records(job.resumed)
     job.folder.begin(_description(job), before or None)
+    stop.answer = "finishing the iteration"
     try:
-        with (
-            ReconstructionProgress(job.console, job.settings.run.time_limit) as show,
-            StopRequest().listening() as stop,
-        ):
+        with ReconstructionProgress(job.console, job.settings.run.time_limit) as show:
             show.go_on(before)
 
             def record(iteration: IterationRecord) -> None:
@@ -218,6 +228,7 @@ def execute(job: Job) -> Outcome:
         raise
     finally:
         job.folder.close()
+        stop.answer = "stopping"
     return Outcome(result, stop.signal_number)
 
 
@@ -239,7 +250,8 @@ def _say_what_begins(job: Job) -> None:
 def _carve(job: Job) -> np.ndarray:
     """The voxels that the images leave room for."""
     job.say("building kernels, carving space ...")
-    mask = carved_mask(job.scene, job.measurements, job.device)
+    mask = carved_mask(job.scene, job.measurements, job.device, stopping.check)
+    stopping.check()
     job.say(f"space carving keeps {mask.mean():.1%} of the voxels")
     return mask
 
@@ -252,6 +264,7 @@ def _description(job: Job) -> dict[str, Any]:
         # As seen from the run folder, so that both may move together.
         "files": {name: os.path.relpath(table.file, job.request.output) for name, table in tables if table is not None},
         "scene": stored_scene(job.scene),
+        "digests": {} if job.truth is None else {"truth": digest(job.truth)},
         "seed": job.seed,
         "device": describe_device(job.device),
         "versions": versions(),
@@ -265,23 +278,35 @@ def deliver(job: Job, outcome: Outcome) -> None:
     ------
     Interrupted : somebody asked to stop: the result is on the disk, and nothing else was begun
     """
-    result, output = outcome.result, job.request.output
-    last = result.history[-1]
+    output = job.request.output
     _write_result(job, outcome)
     if outcome.signal_number is not None:
         text = f"interrupted in {outcome.where}; what was reached is in {output}: {job.request.resume_command}"
         raise Interrupted(text, exit_status(outcome.signal_number))
+    try:
+        _show_result(job, outcome)
+    except Interrupted as interrupted:
+        text = f"interrupted; the result is in {output}, and the rest is made by\n  cloudtomo report {output}"
+        raise Interrupted(text, interrupted.status) from None
+
+
+def _show_result(job: Job, outcome: Outcome) -> None:
+    """Images of the result, and a report."""
+    result, output = outcome.result, job.request.output
+    last = result.history[-1]
     took = duration(last.seconds)
     job.console.print(f"{last.paths:.3g} paths in {took} on {job.device.name}: {outcome.state}", soft_wrap=True)
     if not result.extinction.any():
         job.say("the images leave no cloud: take less noisy ones, or give the prior less weight ([prior])")
         return
+    stopping.check()
     job.say("rendering the images of the recovered cloud ...")
     iteration = len(result.history) + 1
     write_modelled(job.folder, job.scene, job.measurements, result.extinction, job.device, job.seed, iteration)
     if job.request.with_report:
+        stopping.check()
         job.say(f"drawing figures and {job.folder.report_file} ...")
-        make_report(output, quiet=True)
+        make_report(job.folder, quiet=True)
     job.say(f"{_summary(result, job.truth)}  {output}")
 
 
@@ -297,6 +322,7 @@ def _write_result(job: Job, outcome: Outcome) -> None:
         "paths": float(last.paths),
         "seconds": last.seconds,
         "state": outcome.state,
+        "iterations": len(result.history),
     }
     settings = {"scene": stored_scene(job.scene), "reconstruct": job.stored_settings, "seed": job.seed}
     job.folder.write_reconstruction(

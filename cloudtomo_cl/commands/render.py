@@ -49,7 +49,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of the command; they are the fields of `rendering.Request`."""
     parser.add_argument("scene", type=Path, metavar="SCENE.toml", help="or images.nc, to render it again")
     parser.add_argument(
-        "--samples", type=int, help="paths per pixel, even (default 256); with --target-error the most, on average"
+        "--samples",
+        type=options.samples,
+        help="paths per pixel, even (default 256); with --target-error the most, on average",
     )
     parser.add_argument(
         "--target-error",

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from cloudtomo_cl.commands import progress
+from cloudtomo_cl.commands import progress, stopping
 from cloudtomo_cl.commands.provenance import describe_device, source, versions
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.extinction import read_effective_radius, read_extinction
 from cloudtomo_cl.files.measurements import read_measurements, write_measurements
-from cloudtomo_cl.files.netcdf import check_output, is_netcdf
+from cloudtomo_cl.files.netcdf import ENDINGS, check_output, is_netcdf
 from cloudtomo_cl.opencl.device import choose_device
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.noise import Noise
@@ -93,10 +93,11 @@ class Result:
 
 def prepare(request: Request) -> Job:
     """Reads and checks everything, and builds the kernels. Raises what can be refused."""
-    check_output(request.output, request.overwrite)
+    check_output(request.output, request.overwrite, ENDINGS)
     _check_previews(request.png, request.overwrite)
     scene, seen, extinction, radius, made = _to_render(request.scene, request.overrides)
     check_views(scene, seen)
+    stopping.check()
     samples, target_error = request.samples, request.target_error
     if samples is None and target_error is None:
         # Images that are rendered again tell how they were.
@@ -170,6 +171,7 @@ def deliver(job: Job, result: Result) -> None:
     took = progress.duration(result.seconds)
     job.console.print(f"{paths:.3g} paths in {took} on {operator.device.name}: {request.output}", soft_wrap=True)
     if request.png is not None:
+        stopping.check()
         from cloudtomo_cl.report.plots import radiance_limit, save_previews
 
         save_previews(request.png, result.measurements)

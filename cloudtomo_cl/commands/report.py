@@ -11,7 +11,8 @@ HELP = "make a run's figures again"
 
 DESCRIPTION = """\
 Make the figures of a run folder and its page report.html again: slices, maps, history, measured and
-modelled images, and what else is known. A reconstruction does it by itself."""
+modelled images, and what else is known. A reconstruction does it by itself. What was not made of the result that is
+there (of an earlier iteration, another truth) is made again, or left out with a sentence."""
 
 EXAMPLES = """\
 example:
@@ -21,11 +22,17 @@ example:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of the command."""
     parser.add_argument("folder", type=Path, metavar="DIR", help="a run folder")
+    options.add_device(parser)
     options.add_quiet(parser)
 
 
-def run(folder: Path, quiet: bool) -> None:
-    """Makes figures/*.png, figures/*.pdf and report.html."""
-    from cloudtomo_cl.commands.reporting import make_report
+def run(folder: Path, device: str | None, quiet: bool) -> None:
+    """Makes figures/*.png, figures/*.pdf and report.html, and modelled.nc if it is not of the result."""
+    from cloudtomo_cl.commands.reporting import make_report, renew_modelled
+    from cloudtomo_cl.commands.run_folder import RunFolder
 
-    make_report(folder, quiet)
+    of_run = RunFolder(folder)
+    of_run.check_finished()
+    with of_run.held():
+        renew_modelled(of_run, device, quiet)
+        make_report(of_run, quiet)

@@ -3,71 +3,91 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cloudtomo_cl.commands import stopping
+from cloudtomo_cl.commands.modelled import write_modelled
 from cloudtomo_cl.commands.progress import duration, with_error
-from cloudtomo_cl.commands.provenance import source
+from cloudtomo_cl.commands.provenance import digest, source
 from cloudtomo_cl.commands.run_folder import RunFolder
-from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.errors import DataError, DeviceError, SettingsError
+from cloudtomo_cl.files.extinction import read_extinction
 from cloudtomo_cl.files.measurements import read_measurements
 from cloudtomo_cl.files.netcdf import load_dataset
 from cloudtomo_cl.files.truth import read_truth
 from cloudtomo_cl.files.whole import written_whole
+from cloudtomo_cl.opencl.device import choose_device
 from cloudtomo_cl.report import plots
 from cloudtomo_cl.report.page import report_page
 from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.metrics import delta, epsilon
+from cloudtomo_cl.settings.stored import kept_scene
 
 # Extinction of voxels that hold cloud, km^-1.
 _CLOUD = 1.0
 
 
-def make_report(folder: Path, quiet: bool) -> None:
+@dataclass
+class _Shown:
+    """What a report is made of: all of it belongs to the result.
+
+    Attributes
+    ----------
+    result : reconstruction.nc
+    history : its columns, up to the result
+    notes : sentences about what is left out
+    """
+
+    grid: Grid
+    extinction: np.ndarray
+    result: Any
+    settings: dict[str, Any]
+    history: dict[str, np.ndarray]
+    measurements: Measurements | None = None
+    truth: np.ndarray | None = None
+    modelled: Measurements | None = None
+    notes: list[str] = field(default_factory=list)
+
+
+def make_report(run: RunFolder, quiet: bool) -> None:
     """Makes figures/*.png, figures/*.pdf and report.html.
 
     Raises
     ------
-    DataError : no run was finished in the folder, or a file of it is damaged or cannot be written
+    DataError : no run was finished in the folder, or a file of it is damaged or cannot be written, or one is in the
+        way that no run has written
     """
-    run = RunFolder(folder)
-    grid, extinction, _ = run.read_reconstruction()
-    settings, history = run.read_settings(), run.read_history()
-    missing = {"stage", "seconds", "paths", "cost", "cost_standard_error", "epsilon"} - set(history)
-    if missing or not len(history["stage"]):
-        lacks = f"has no column {', '.join(sorted(missing))}" if missing else "has no iteration"
-        raise DataError(f"{run.history_file}: {lacks}: it is no history of a run")
-    files = settings.get("files", {})
-    measurements = truth = modelled = None
-    if "measurements" in files:
-        measurements = _if_there(folder / files["measurements"], read_measurements)
-    if "truth" in files:
-        truth = _if_there(folder / files["truth"], lambda path: read_truth(path, grid))
-    if run.modelled_file.is_file():
-        modelled = read_measurements(run.modelled_file)
+    shown = _read(run)
+    for note in shown.notes:
+        print(f"cloudtomo report: {note}", file=sys.stderr)
     if not quiet:
         print("drawing figures and report ...")
-    figures = plots.run_figures(grid, extinction, history, truth, measurements, modelled)
-    paths = plots.save_figures(run.figures, figures)
-    result = load_dataset(run.reconstruction_file)
-    attributes = result.attrs
-    numbers = _numbers(grid, extinction, truth, history, settings)
-    if "extinction_standard_error" in result and (extinction > _CLOUD).any():
-        error = np.median(result["extinction_standard_error"].values[extinction > _CLOUD])
-        numbers["typical standard error in cloud"] = f"{error:.3g} km⁻¹"
+    stopping.check()
+    figures = plots.run_figures(
+        shown.grid, shown.extinction, shown.history, shown.truth, shown.measurements, shown.modelled
+    )
+    run.claim(run.report_file, *(run.figures / f"{name}.{kind}" for name in figures for kind in ("png", "pdf")))
+    paths: list[Path] = []
+    for name, figure in figures.items():
+        stopping.check()
+        paths += plots.save_figures(run.figures, {name: figure})
     page = report_page(
-        f"Reconstruction {folder.resolve().name}",
-        f"{attributes.get('source', source())}, {attributes.get('state', 'complete')}",
-        numbers,
-        grid,
-        extinction,
+        f"Reconstruction {run.path.resolve().name}",
+        f"{shown.result.attrs.get('source', source())}, {shown.result.attrs.get('state', 'complete')}",
+        _numbers(shown),
+        shown.grid,
+        shown.extinction,
         {path.stem: path.read_bytes() for path in paths if path.suffix == ".png"},
-        settings,
-        truth,
-        measurements,
-        modelled,
+        shown.settings,
+        shown.truth,
+        shown.measurements,
+        shown.modelled,
+        shown.notes,
     )
     with written_whole(run.report_file) as partial:
         partial.write_text(page, encoding="utf-8")
@@ -76,9 +96,88 @@ def make_report(folder: Path, quiet: bool) -> None:
         print(f"{run.report_file}: open it in a browser")
 
 
-def _numbers(
-    grid: Grid, extinction: np.ndarray, truth: np.ndarray | None, history: dict[str, np.ndarray], settings: Any
-) -> dict[str, str]:
+def _read(run: RunFolder) -> _Shown:
+    """All that there is, without what does not belong to the result."""
+    grid, extinction, _ = run.read_reconstruction()
+    settings, history = run.read_settings(), run.read_history()
+    missing = {"stage", "seconds", "paths", "cost", "cost_standard_error", "epsilon"} - set(history)
+    if missing or not len(history["stage"]):
+        lacks = f"has no column {', '.join(sorted(missing))}" if missing else "has no iteration"
+        raise DataError(f"{run.history_file}: {lacks}: it is no history of a run")
+    shown = _Shown(grid, extinction, load_dataset(run.reconstruction_file), settings, history)
+    files = settings.get("files", {})
+    shown.measurements = _measured(run, shown, files)
+    if "truth" in files:
+        shown.truth = _if_there(run.path / files["truth"], lambda path: read_truth(path, grid))
+    _leave_out_what_is_of_another(run, shown)
+    return shown
+
+
+def _measured(run: RunFolder, shown: _Shown, files: dict[str, str]) -> Measurements | None:
+    """The images that the cloud was recovered from: the result keeps them."""
+    if "radiance" in shown.result:
+        return read_measurements(run.reconstruction_file)
+    if "measurements" in files:
+        measurements: Measurements | None = _if_there(run.path / files["measurements"], read_measurements)
+        return measurements
+    return None
+
+
+def _leave_out_what_is_of_another(run: RunFolder, shown: _Shown) -> None:
+    done = int(shown.result.attrs.get("iterations", len(shown.history["stage"])))
+    lines = len(shown.history["stage"])
+    if lines != done:
+        text = f"the result is that of iteration {done}, the history has {lines}: "
+        shown.notes.append(text + ("the later ones are left out" if lines > done else "some are missing"))
+        shown.history = {name: column[:done] for name, column in shown.history.items()}
+    known = shown.settings.get("digests")
+    expected = known.get("truth") if isinstance(known, dict) else None
+    if shown.truth is not None and expected is not None and digest(shown.truth) != expected:
+        text = f"{run.path / shown.settings['files']['truth']} is not the truth that the run knew: it is left out"
+        shown.notes.append(text)
+        shown.truth = None
+    if run.modelled_file.is_file() and shown.measurements is not None:
+        if is_of(run, shown.extinction, shown.measurements):
+            shown.modelled = read_measurements(run.modelled_file)
+        else:
+            shown.notes.append(
+                f"{run.modelled_file.name} has images of another cloud than the result: they are left out; "
+                f"`cloudtomo report {run.path}` makes them again"
+            )
+
+
+def is_of(run: RunFolder, extinction: np.ndarray, measurements: Measurements) -> bool:
+    """Whether modelled.nc has images of this cloud, from these views: it keeps both."""
+    _, rendered = read_extinction(run.modelled_file)
+    return np.array_equal(rendered, extinction) and read_measurements(run.modelled_file).views == measurements.views
+
+
+def renew_modelled(run: RunFolder, device: str | None, quiet: bool) -> None:
+    """Renders modelled.nc again if it is not of the result; where that cannot be, it is left as it is, and it is said.
+
+    Raises
+    ------
+    DataError : the result is damaged, or the file cannot be written
+    """
+    grid, extinction, _ = run.read_reconstruction()
+    result = load_dataset(run.reconstruction_file)
+    if "radiance" not in result:
+        return
+    measurements = read_measurements(run.reconstruction_file)
+    if run.modelled_file.is_file() and is_of(run, extinction, measurements):
+        return
+    try:
+        scene, _, _, made = kept_scene(run.reconstruction_file, ())
+        if not quiet:
+            print("rendering the images of the recovered cloud ...")
+        iteration = int(result.attrs.get("iterations", len(run.read_history()["stage"]))) + 1
+        write_modelled(run, scene, measurements, extinction, choose_device(device), made.get("seed", 0), iteration)
+    except (DeviceError, SettingsError) as error:
+        print(f"cloudtomo report: the images of the recovered cloud could not be rendered: {error}", file=sys.stderr)
+
+
+def _numbers(shown: _Shown) -> dict[str, str]:
+    grid, extinction, truth, history = shown.grid, shown.extinction, shown.truth, shown.history
     numbers = {}
     if truth is not None:
         numbers["error eps"] = f"{epsilon(extinction, truth):.3f}"
@@ -91,9 +190,12 @@ def _numbers(
     numbers["iterations"] = str(len(history["cost"]))
     numbers["paths"] = f"{history['paths'][-1]:.3g}"
     numbers["time"] = duration(float(history["seconds"][-1]))
-    device = settings.get("device")
+    device = shown.settings.get("device")
     if isinstance(device, dict) and "name" in device:
         numbers["device"] = str(device["name"])
+    if "extinction_standard_error" in shown.result and (extinction > _CLOUD).any():
+        error = np.median(shown.result["extinction_standard_error"].values[extinction > _CLOUD])
+        numbers["typical standard error in cloud"] = f"{error:.3g} km⁻¹"
     return numbers
 
 

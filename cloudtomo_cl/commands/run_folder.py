@@ -1,5 +1,6 @@
 """The folder of a reconstruction: settings, history, result, figures.
 
+    files.json           names of the files here that runs have written: no others are ever removed or replaced
     settings.json        all settings, versions of the packages, device, seed
     history.csv          one line for each iteration, written as it goes
     checkpoint.npz       what a resumed run goes on from
@@ -7,26 +8,31 @@
                          images, views, settings
     modelled.nc          images of the recovered cloud
     report.html
-    figures/*.png
+    figures/*.png, *.pdf
+    .lock                while a run is at work here (folder_lock.py)
 """
 
 from __future__ import annotations
 
 import csv
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
+from cloudtomo_cl.commands.folder_lock import held
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.extinction import read_extinction, write_extinction
 from cloudtomo_cl.files.measurements import write_measurements
-from cloudtomo_cl.files.whole import written_whole
+from cloudtomo_cl.files.netcdf import netcdf_errors
+from cloudtomo_cl.files.whole import reason, remove_abandoned, written_whole
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, read_checkpoint
+from cloudtomo_cl.report.plots import FIGURES
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
 
@@ -39,10 +45,16 @@ class RunFolder:
 
     Nothing is written before the first iteration, so that a run which cannot start leaves no
     folder behind, and with `overwrite` an older run stays until then.
+
+    Parameters
+    ----------
+    overwrite : whether a new run takes the place of an older one, and of other files with the names it needs
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, overwrite: bool = False) -> None:
         self.path = Path(path)
+        self.overwrite = overwrite
+        self.list_file = self.path / "files.json"
         self.settings_file = self.path / "settings.json"
         self.history_file = self.path / "history.csv"
         self.checkpoint_file = self.path / "checkpoint.npz"
@@ -55,13 +67,76 @@ class RunFolder:
         self._before: Sequence[IterationRecord] | None = None
         self.started = False
 
-    def check_new(self, overwrite: bool = False) -> None:
-        """DataError if the folder holds a run already, or is no folder."""
+    @property
+    def outputs(self) -> tuple[Path, ...]:
+        """All files that a run may write."""
+        pictures = [self.figures / f"{name}.{suffix}" for name in FIGURES for suffix in ("png", "pdf")]
+        return (*self._of_the_run, self.modelled_file, self.report_file, *pictures)
+
+    @property
+    def _of_the_run(self) -> tuple[Path, ...]:
+        return self.settings_file, self.history_file, self.checkpoint_file, self.reconstruction_file
+
+    def held(self) -> AbstractContextManager[None]:
+        """Keeps other runs out of the folder while in this context; see `folder_lock.held`."""
         self._check_folder()
-        files = (self.settings_file, self.history_file, self.checkpoint_file, self.reconstruction_file)
-        if not overwrite and any(file.exists() for file in files):
+        return held(self.path)
+
+    def check_new(self) -> None:
+        """DataError if the folder holds a run already, or a file that one would replace, or is no folder."""
+        self._check_folder()
+        if self.overwrite:
+            return
+        if any(file.exists() for file in self._of_the_run):
             hint = ", or go on with it: --resume" if self.checkpoint_file.exists() else ""
             raise DataError(f"{self.path}: holds a run already: choose another folder, or add --overwrite{hint}")
+        self._refuse([file for file in self.outputs if os.path.lexists(file)])
+
+    def check_finished(self) -> None:
+        """DataError if there is no result of a run here."""
+        if not self.reconstruction_file.is_file():
+            raise DataError(f"{self.path}: holds no {self.reconstruction_file.name}: no run was finished here")
+
+    def check_own(self) -> None:
+        """DataError if a file stands in a run's place that no run has written."""
+        self._check_folder()
+        self._refuse(self._foreign(self.outputs))
+
+    def _refuse(self, foreign: Sequence[Path]) -> None:
+        if foreign:
+            raise DataError(f"{foreign[0]}: no run has written it, and it is not replaced: move it away")
+
+    def _foreign(self, paths: Sequence[Path]) -> list[Path]:
+        """Those that are there, and not ours."""
+        listed = self._listed()
+        return [path for path in paths if os.path.lexists(path) and path not in listed]
+
+    def _listed(self) -> set[Path]:
+        """What runs have written here. Earlier versions kept no list: what has our names beside a run is theirs."""
+        if not self.list_file.exists():
+            return set(self.outputs) if self.settings_file.exists() else set()
+        try:
+            names = json.loads(self.list_file.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError) as error:
+            raise DataError(f"{self.list_file}: is no list of a run's files ({error})") from None
+        # Whatever a list says, nothing but a run's files is touched.
+        return {path for path in self.outputs if path.relative_to(self.path).as_posix() in names}
+
+    def claim(self, *paths: Path) -> None:
+        """Takes files to the list, before they are written.
+
+        Raises
+        ------
+        DataError : one is there already that no run has written; the list cannot be written
+        """
+        if not self.overwrite:
+            self._refuse(self._foreign(paths))
+        listed = self._listed() if self.list_file.exists() else set()
+        if self.list_file.exists() and listed.issuperset(paths):
+            return
+        names = sorted(path.relative_to(self.path).as_posix() for path in listed.union(paths))
+        with written_whole(self.list_file) as partial:
+            partial.write_text(json.dumps(names, indent=1) + "\n", encoding="utf-8")
 
     def _check_folder(self) -> None:
         if self.path.exists() and not self.path.is_dir():
@@ -104,19 +179,17 @@ class RunFolder:
         try:
             yield
         except OSError as error:
-            raise DataError(
-                f"{self.path}: could not be written ({error.strerror}): check permissions and the space left"
-            ) from None
+            raise DataError(f"{self.path}: could not be written ({reason(error, self.path)})") from None
 
     def _start(self, names: list[str]) -> None:
         self.figures.mkdir(parents=True, exist_ok=True)
         # What a killed run was writing.
-        stale = list(self.path.glob(".*.partial"))
-        if self._before is None:
-            stale += [self.checkpoint_file, self.reconstruction_file, self.modelled_file, self.report_file]
-            stale += [*self.figures.glob("*.png"), *self.figures.glob("*.pdf")]
-        for file in stale:
-            file.unlink(missing_ok=True)
+        for folder in (self.path, self.figures):
+            remove_abandoned(folder)
+        if self.overwrite:
+            for file in self._listed().union(self._of_the_run) - {self.settings_file}:
+                file.unlink(missing_ok=True)
+        self.claim(*self._of_the_run)
         with written_whole(self.settings_file) as partial:
             partial.write_text(json.dumps(self._settings, indent=2) + "\n", encoding="utf-8")
         # A run may have been killed after its checkpoint: the history is that of the checkpoint.
@@ -151,33 +224,30 @@ class RunFolder:
             with self._writing():
                 self._start([field.name for field in fields(self._before[0])])
             self.close()
+        self.claim(self.reconstruction_file)
         with written_whole(self.reconstruction_file) as partial:
             if measurements is None:
                 write_extinction(partial, grid, extinction, attributes)
             else:
                 write_measurements(partial, measurements, attributes, settings, (grid, extinction, None))
-            try:
-                with netCDF4.Dataset(partial, "a") as dataset:
-                    variable = dataset.createVariable("mask", "i1", ("x", "y", "z"), zlib=True)
-                    variable.units = "1"
-                    variable.long_name = "voxels that the recovery could fill: 1, others 0"
-                    variable[:] = mask
-                    if standard_error is not None:
-                        name = "extinction_standard_error"
-                        variable = dataset.createVariable(name, "f4", ("x", "y", "z"), zlib=True)
-                        variable.units = "km-1"
-                        variable.long_name = "standard error of extinction, from noise and what smoothness leaves open"
-                        variable[:] = standard_error
-                        dataset["extinction"].ancillary_variables = name
-            except RuntimeError as error:  # how the netCDF library says that a disk is full
-                raise OSError(str(error)) from None
+            with netcdf_errors(), netCDF4.Dataset(partial, "a") as dataset:
+                variable = dataset.createVariable("mask", "i1", ("x", "y", "z"), zlib=True)
+                variable.units = "1"
+                variable.long_name = "voxels that the recovery could fill: 1, others 0"
+                variable[:] = mask
+                if standard_error is not None:
+                    name = "extinction_standard_error"
+                    variable = dataset.createVariable(name, "f4", ("x", "y", "z"), zlib=True)
+                    variable.units = "km-1"
+                    variable.long_name = "standard error of extinction, from noise and what smoothness leaves open"
+                    variable[:] = standard_error
+                    dataset["extinction"].ancillary_variables = name
 
     def read_reconstruction(self) -> tuple[Grid, np.ndarray, np.ndarray]:
         """Grid, extinction in km^-1, mask. DataError if the run has not come to its end."""
         import netCDF4
 
-        if not self.reconstruction_file.is_file():
-            raise DataError(f"{self.path}: holds no {self.reconstruction_file.name}: no run was finished here")
+        self.check_finished()
         grid, extinction = read_extinction(self.reconstruction_file)
         try:
             with netCDF4.Dataset(self.reconstruction_file) as dataset:

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cloudtomo_cl.commands import options
+from cloudtomo_cl.commands import options, stopping
 from cloudtomo_cl.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -77,9 +77,7 @@ def run(
     from cloudtomo_cl.opencl.device import choose_device
 
     if output is not None:
-        if output.suffix not in WRITERS:
-            raise SettingsError(f"--output {output}: the name must end in {' or '.join(WRITERS)}")
-        check_output(output, overwrite)
+        check_output(output, overwrite, tuple(WRITERS))
     files = i3rc.folder(data)
     cases = [case for case in validation.cases(files) if only is None or only.lower() in case.name.lower()]
     if not cases:
@@ -90,6 +88,7 @@ def run(
     rows: list[Row] = []
     start = time.perf_counter()
     for case in cases:
+        stopping.check()
         began = time.perf_counter()
         rows += validation.run(case, chosen, number, seed, files)
         took = duration(time.perf_counter() - began)

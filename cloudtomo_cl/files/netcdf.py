@@ -9,7 +9,8 @@ import json
 import math
 import os
 import stat
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Union
 
@@ -18,13 +19,15 @@ import numpy as np
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.missing import decode_all
 from cloudtomo_cl.files.units import RADIANCE, Unit, parse_unit
-from cloudtomo_cl.files.whole import written_whole
+from cloudtomo_cl.files.whole import check_target, written_whole
 from cloudtomo_cl.memory import require, size_text
 
 if TYPE_CHECKING:
     import xarray as xr
 
 CONVENTIONS = "CF-1.10"
+# Endings of the names of netCDF files; one without says nothing else.
+ENDINGS = (".nc", ".nc4", ".cdf", ".netcdf", "")
 AXES = ("x", "y", "z")
 # What files are read from: their names, or what they hold, in memory.
 Source = Union[str, "os.PathLike[str]", "xr.Dataset", "xr.DataArray"]
@@ -78,11 +81,31 @@ def load_dataset(source: Source) -> xr.Dataset:
     except (DataError, MemoryError):
         raise
     except Exception as error:  # what a damaged file may raise has no end
+        if _is_locked(path):
+            raise DataError(
+                f"{path}: another program has it open for writing: close it there, or wait until it is written"
+            ) from None
         text = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise DataError(
             f"{path}: not a netCDF file, or damaged or cut short ({text}): check or copy it again; "
             f"clouds in other formats become netCDF by `cloudtomo cloud FILE --output cloud.nc`"
         ) from None
+
+
+def _is_locked(path: str | os.PathLike[str]) -> bool:
+    """Whether another program has locked a file, as the netCDF library does that writes it."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return False
+    try:
+        with open(path, "rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def require_file(path: Path) -> None:
@@ -116,7 +139,6 @@ def _require_size(path: Path) -> None:
     # Beside the values there are copies in double precision, and the index of a coordinate.
     require(3 * total, f"{path}: reading it", "crop or coarsen it")
 
-
 def _check_classic(path: str | os.PathLike[str]) -> None:
     """Raises ValueError if a file in the classic format ends too early.
 
@@ -130,17 +152,25 @@ def _check_classic(path: str | os.PathLike[str]) -> None:
     netcdf_file(path, mmap=False).close()
 
 
-def check_output(path: Path, overwrite: bool) -> None:
+def check_output(path: Path, overwrite: bool, endings: Sequence[str] = (), option: str = "--output") -> None:
     """Fails before the work, not after it.
+
+    Parameters
+    ----------
+    endings : that the name may have; any without
+    option : of the command line, that the path is from
 
     Raises
     ------
-    DataError : a folder, in no folder, or there already and not to be replaced
+    DataError : a folder, a device, a pipe, protected against writing, in no folder, or there already and not to be
+        replaced; a name that stands for another format
     """
-    if path.is_dir() or not path.parent.is_dir():
-        raise DataError(f"{path}: is a folder, or in a folder that does not exist: choose another --output")
-    if path.exists() and not overwrite:
-        raise DataError(f"{path}: exists already: choose another --output, or add --overwrite")
+    if endings and path.suffix.lower() not in endings:
+        named = " or ".join(ending for ending in endings if ending)
+        raise DataError(f"{path}: the name must end in {named}, which is what {option} writes")
+    target = check_target(path)
+    if target.exists() and not overwrite:
+        raise DataError(f"{path}: exists already: choose another {option}, or add --overwrite")
 
 
 def save_dataset(path: str | os.PathLike[str], dataset: xr.Dataset) -> None:
@@ -154,12 +184,18 @@ def save_dataset(path: str | os.PathLike[str], dataset: xr.Dataset) -> None:
         encoding.setdefault(name, {})
         if name not in ("radiance", "radiance_standard_error", "effective_radius"):
             encoding[name]["_FillValue"] = None
-    with written_whole(path) as partial:
-        try:
-            dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
-            _restore_bounds_units(partial, dataset)
-        except RuntimeError as error:  # how the netCDF library says that a disk is full
-            raise OSError(str(error)) from None
+    with written_whole(path) as partial, netcdf_errors():
+        dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
+        _restore_bounds_units(partial, dataset)
+
+
+@contextmanager
+def netcdf_errors() -> Iterator[None]:
+    """Turns what the netCDF library raises where a file cannot be written, such as a full disk's, into OSError."""
+    try:
+        yield
+    except RuntimeError as error:
+        raise OSError(str(error)) from None
 
 
 def _restore_bounds_units(path: Path, dataset: xr.Dataset) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.files.netcdf import factor_of, file_attributes, load_dataset, number_variable
+from cloudtomo_cl.files.netcdf import factor_of, file_attributes, load_dataset, netcdf_errors, number_variable
 from cloudtomo_cl.files.whole import written_whole
 from cloudtomo_cl.scene.droplets import DropletTable
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
@@ -125,11 +125,8 @@ def write_phase_function(
         about.update({name: getattr(table, name) for name in _NUMBERS_OF_A_TABLE})
     dataset = xr.Dataset(variables, coordinates, about)
     encoding = {name: {"_FillValue": None} for name in dataset.variables}
-    try:
-        with written_whole(path) as partial:
-            dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
-    except RuntimeError as error:
-        raise DataError(f"{path}: could not be written ({error}): check its folder, permissions and disk") from None
+    with written_whole(path) as partial, netcdf_errors():
+        dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
 
 
 def _phase_function(path: Any, dataset: xr.Dataset) -> TabulatedPhaseFunction:

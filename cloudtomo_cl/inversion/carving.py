@@ -6,6 +6,8 @@ part of the domain in which an extinction has to be sought at all.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
@@ -28,15 +30,17 @@ _LOOSEST = 2.5
 _CLEAR_SAMPLES, _CLEAR_SAMPLES_IN_AIR = 16, 256
 
 
-def carved_mask(scene: Scene, measurements: Measurements, device: Device) -> np.ndarray:
+def carved_mask(
+    scene: Scene, measurements: Measurements, device: Device, progress: Callable[[int], None] | None = None
+) -> np.ndarray:
     """The voxels that images leave room for cloud in: bool, shape of the scene's grid.
 
-    Renders the scene without cloud, and carves (`carve`).
+    Renders the scene without cloud, and carves (`carve`); progress as of `RadianceOperator.render`.
     """
     # Without cloud there is no forward peak to tame, and no roulette is wanted on faint ground.
     operator = RadianceOperator(scene, measurements.views, device, estimator="plain")
     samples = _CLEAR_SAMPLES if scene.air is None else _CLEAR_SAMPLES_IN_AIR
-    cloud_free = operator.render(np.zeros(scene.grid.shape, np.float32), samples)
+    cloud_free = operator.render(np.zeros(scene.grid.shape, np.float32), samples, progress=progress)
     return carve(scene.grid, measurements, Measurements.rendered(operator, cloud_free))
 
 

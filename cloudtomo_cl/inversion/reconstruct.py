@@ -39,6 +39,7 @@ from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Grid, resample_in_mask
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.scene.seeds import checked_seed
 
 _LOGGER = logging.getLogger(__name__)
 # Where a solver does not say: inside the mask before the first stage, km^-1.
@@ -122,17 +123,15 @@ def reconstruct(
     """
     device, prior, solver = device or choose_device(), prior or Prior(), solver or GaussNewton()
     stages = stages_of(scene.grid, stages, solver)
-    if truth is not None and np.shape(truth) != scene.grid.shape:
-        raise DataError(f"truth has shape {np.shape(truth)}, the grid {scene.grid.shape}")
-    _check_start(scene.grid, stages, solver)
     resumed = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
+    check(
+        scene, measurements, stages, prior, solver, mask=mask, device=device, seed=seed, truth=truth, resume=resumed
+    )
     if mask is None:
         mask = carved_mask(scene, measurements, device) if resumed is None else resumed.mask
     question = _Question(scene, measurements, prior, checked_mask(mask, scene.grid), device)
     check_memory(scene, measurements, stages, device, solver, question.mask)
     identity = identity_of(scene, measurements, stages, prior, solver, question.mask, truth, seed)
-    if resumed is not None:
-        resumed.check(identity)
     run = Run(stages, question.mask) if resumed is None else Run.resumed(stages, question.mask, resumed)
     keeper = KeepCheckpoints(Checkpoints(checkpoint, checkpoint_interval), identity, device.name)
     limit, asked = TimeLimit(time_limit), StopRequested(stop)
@@ -161,7 +160,9 @@ def _iterated(
     estimate = np.full(run.stages[0].grid, getattr(solver, "start", _START))
     while True:
         stage = run.stages[run.stage]
+        _LOGGER.info("stage %d of %d: building its kernels", run.stage + 1, len(run.stages))
         problem = question.at(stage)
+        _LOGGER.info("stage %d of %d: its first iteration", run.stage + 1, len(run.stages))
         state = solver.init(problem, resample_in_mask(estimate, problem.mask)[problem.mask])
         if resumed is not None:
             state, resumed = restored(state, resumed.solver_state), None
@@ -190,6 +191,42 @@ def _standard_error(problem: Problem, solver: Any, state: Any, draws: int, seed:
     """Of the estimate, if the solver knows it, km^-1, shape (voxels,)."""
     of_solver = getattr(solver, "standard_error", None)
     return None if of_solver is None else of_solver(problem, state, draws, seed)
+
+
+def check(
+    scene: Scene,
+    measurements: Measurements,
+    stages: Sequence[Stage] | None = None,
+    prior: Prior | Regulariser | None = None,
+    solver: Solver | None = None,
+    *,
+    mask: np.ndarray | None = None,
+    device: Device,
+    seed: int = 0,
+    truth: np.ndarray | None = None,
+    resume: Checkpoint | None = None,
+) -> None:
+    """Refuses what `reconstruct` with the same arguments would refuse, without a path.
+
+    What the solver keeps for the voxels of the mask counts as far as that is known: given, or a checkpoint's.
+
+    Raises
+    ------
+    DataError, DeviceError : as `reconstruct`
+    """
+    prior, solver = prior or Prior(), solver or GaussNewton()
+    stages = stages_of(scene.grid, stages, solver)
+    checked_seed(seed)
+    if truth is not None and np.shape(truth) != scene.grid.shape:
+        raise DataError(f"truth has shape {np.shape(truth)}, the grid {scene.grid.shape}")
+    if mask is None and resume is not None:
+        mask = resume.mask
+    if mask is not None:
+        mask = checked_mask(mask, scene.grid)
+    check_memory(scene, measurements, stages, device, solver, mask)
+    _check_start(scene.grid, stages, solver)
+    if resume is not None and mask is not None:
+        resume.check(identity_of(scene, measurements, stages, prior, solver, mask, truth, seed))
 
 
 def _check_start(grid: Grid, stages: Sequence[Stage], solver: Any) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+import threading
 import time
 import warnings
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.errors import BuildError, DeviceError
+from cloudtomo_cl.opencl import kernel_cache
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.parameters import KERNELS, Kernel
 
@@ -57,6 +59,19 @@ def _import_pyopencl() -> Any:
     return pyopencl
 
 
+# The process that has talked to drivers: what they have set up does not outlive a fork.
+_process: list[int] = []
+
+
+def check_process() -> None:
+    """DeviceError in a process that was forked from one that has used a device: drivers would wait there for ever."""
+    if _process and os.getpid() not in _process:
+        raise DeviceError(
+            "this process was forked from one that had used OpenCL, whose drivers do not work here: start processes "
+            'by multiprocessing.get_context("spawn"), or use no device before the fork'
+        )
+
+
 # What OpenCL calls a lack of memory; INVALID_BUFFER_SIZE: larger than the device's largest piece.
 _OUT_OF_MEMORY = ("MEM_OBJECT_ALLOCATION_FAILURE", "OUT_OF_RESOURCES", "OUT_OF_HOST_MEMORY", "INVALID_BUFFER_SIZE")
 
@@ -64,6 +79,7 @@ _OUT_OF_MEMORY = ("MEM_OBJECT_ALLOCATION_FAILURE", "OUT_OF_RESOURCES", "OUT_OF_H
 @contextmanager
 def device_errors(doing: str) -> Iterator[None]:
     """Turns OpenCL's errors into DeviceError with advice; around a block, or as a decorator."""
+    check_process()
     try:
         yield
     except Exception as error:
@@ -105,7 +121,11 @@ def _include_folders() -> Iterator[list[str]]:
 
 def _opencl_devices() -> list[Any]:
     """All devices, GPUs first, in the order the platforms give them."""
+    check_process()
+    kernel_cache.prepare()
     cl = _import_pyopencl()
+    if not _process:
+        _process.append(os.getpid())
     try:
         platforms = cl.get_platforms()
     except cl.Error as error:
@@ -159,7 +179,12 @@ def list_devices() -> list[DeviceInfo]:
 
 
 class Device:
-    """An OpenCL device with its context, queue and built kernels."""
+    """An OpenCL device with its context, queue and built kernels.
+
+    Attributes
+    ----------
+    lock : of what threads share: a kernel's arguments are its own, from when they are set until it is launched
+    """
 
     @device_errors("opening the device")
     def __init__(self, opencl_device: Any) -> None:
@@ -172,6 +197,7 @@ class Device:
         for part, fault in _FAULTS.items():
             if part in self.name:
                 warnings.warn(f"device {self.name}: {fault} (`cloudtomo devices` lists them)", RuntimeWarning, 2)
+        self.lock = threading.RLock()
         self._programs: dict[str, Any] = {}
         self._kernels: dict[tuple[str, str, tuple[str, ...]], Any] = {}
 
@@ -202,8 +228,13 @@ class Device:
         ------
         BuildError : with device, options and the compiler's log
         """
+        with self.lock:
+            return self._built(source)
+
+    def _built(self, source: str) -> Any:
         if source not in self._programs:
             cl = _import_pyopencl()
+            kernel_cache.check()
             with _include_folders() as folders:
                 options = ["-cl-std=CL1.2", "-w"]  # no warnings on the terminal of users
                 for folder in folders:
@@ -230,6 +261,10 @@ class Device:
         features : macros that compile in what only some scenes need, for instance
             ("CLOUDTOMO_PHASE_TABLE",)
         """
+        with self.lock:
+            return self._made(file, name, features)
+
+    def _made(self, file: str, name: str, features: tuple[str, ...]) -> Any:
         if (file, name, features) not in self._kernels:
             cl = _import_pyopencl()
             source = "".join(f"#define {feature}\n" for feature in features) + f'#include "{file}.cl"\n'
@@ -265,7 +300,7 @@ class Device:
     def launch(self, kernel: Any, work_items: int, *arguments: Any, global_offset: int = 0, **named: Any) -> None:
         """Runs a kernel on at least `work_items` work items from `global_offset` on (kernels skip the rest)."""
         groups = -(-work_items // WORK_GROUP_SIZE)
-        with device_errors(f"device {self.name}: launching {kernel.function_name}"):
+        with device_errors(f"device {self.name}: launching {kernel.function_name}"), self.lock:
             offset = {"global_offset": (global_offset,)} if global_offset else {}
             kernel(self.queue, (groups * WORK_GROUP_SIZE,), (WORK_GROUP_SIZE,), *arguments, **offset, **named)
 

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from cloudtomo_cl.files.whole import written_whole
+from cloudtomo_cl.report.comparison import in_standard_errors, per_cent
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.phase import AnyPhaseFunction, TabulatedPhaseFunction
@@ -20,6 +22,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+# Endings of the files that figures are saved in.
+PICTURES = (".png", ".pdf", ".svg")
+_DOTS_PER_INCH = 130
+# Names of the figures that a run may have.
+FIGURES = ("slices", "maps", "history", "scatter", "images", "comparison")
 EXTINCTION_LABEL = "extinction (km$^{-1}$)"
 RADIANCE_LABEL = "radiance (W m$^{-2}$ sr$^{-1}$)"
 _AXES = "xyz"
@@ -291,26 +298,30 @@ def plot_image(axes: Axes, image: np.ndarray, white: float) -> Any:
 
 
 def plot_difference(axes: Axes, difference: np.ndarray, largest: float = 5.0) -> Any:
-    """A difference of images in standard errors, red where positive, up to `largest`. Returns it."""
+    """A difference of images (standard errors, per cent), red where positive, up to `largest`. Returns it."""
     axes.set_axis_off()
     return axes.imshow(difference, cmap="RdBu_r", vmin=-largest, vmax=largest, interpolation="nearest")
 
 
 def plot_comparison(figure: Figure, measured: Measurements, modelled: Measurements, views: Sequence[int]) -> None:
-    """Measured images, those of the recovered cloud, and the difference in standard errors of both together."""
-    axes = figure.subplots(3, len(views), squeeze=False)
+    """Measured images, those of the recovered cloud, and their difference in per cent and in standard errors."""
+    axes = figure.subplots(4, len(views), squeeze=False)
     white = radiance_limit(measured)
-    differences = measured.differences(modelled)
+    scores, relative = in_standard_errors(measured, modelled), per_cent(measured, modelled)
+    shown = np.concatenate([np.abs(relative[view]).ravel() for view in views])
+    largest = max(float(np.nanquantile(shown, 0.99)), 1e-3)
     for column, view in zip(axes.T, views):
         image = plot_image(column[0], measured.images[view], white)
         plot_image(column[1], modelled.images[view], white)
-        difference = plot_difference(column[2], differences[view])
+        share = plot_difference(column[2], relative[view], largest)
+        score = plot_difference(column[3], scores[view])
         column[0].set_title(f"view {view}", fontsize="medium")
-    for panel, name in zip(axes[:, 0], ("measured", "modelled", "modelled - measured")):
+    for panel, name in zip(axes[:, 0], ("measured", "modelled", "difference", "difference")):
         # The axes are off: a text stands in for the label of y.
         panel.text(-0.08, 0.5, name, rotation=90, va="center", ha="right", transform=panel.transAxes)
     figure.colorbar(image, ax=axes[:2], label=RADIANCE_LABEL, extend="max")
-    figure.colorbar(difference, ax=axes[2], label="standard errors", extend="both")
+    figure.colorbar(share, ax=axes[2], label="% of the mean", extend="both")
+    figure.colorbar(score, ax=axes[3], label="standard errors", extend="both")
 
 
 def plot_maps(figure: Figure, grid: Grid, recovered: np.ndarray, truth: np.ndarray | None = None) -> None:
@@ -343,7 +354,8 @@ def save_previews(folder: Path, measurements: Measurements) -> list[Path]:
     paths = []
     for index, image in enumerate(measurements.images):
         paths.append(folder / f"view_{index}.png")
-        imsave(paths[-1], image, vmin=0.0, vmax=white, cmap=_grey(), origin="upper")
+        with written_whole(paths[-1]) as partial:
+            imsave(partial, image, vmin=0.0, vmax=white, cmap=_grey(), origin="upper", format="png")
     return paths
 
 
@@ -377,7 +389,7 @@ def run_figures(
     if measurements is not None and modelled is not None:
         count = len(measurements.views)
         views = np.unique(np.linspace(0, count - 1, min(count, _COMPARED_VIEWS)).round().astype(int))
-        figures["comparison"] = new_figure(1.8 * len(views) + 1.6, 5.9)
+        figures["comparison"] = new_figure(1.8 * len(views) + 1.6, 7.8)
         plot_comparison(figures["comparison"], measurements, modelled, [int(view) for view in views])
     return figures
 
@@ -389,7 +401,18 @@ def save_figures(folder: Path, figures: Mapping[str, Figure]) -> list[Path]:
     for name, figure in figures.items():
         for suffix in ("png", "pdf"):
             paths.append(folder / f"{name}.{suffix}")
-            figure.savefig(paths[-1], dpi=130)
+            save_figure(paths[-1], figure)
             # The layout, which takes most of the time, stays as it was drawn first.
             figure.set_layout_engine("none")
     return paths
+
+
+def save_figure(path: Path, figure: Figure) -> None:
+    """A figure in the format that the file's name ends in (PICTURES), whole or not at all.
+
+    Raises
+    ------
+    DataError : the file cannot be written
+    """
+    with written_whole(path) as partial:
+        figure.savefig(partial, dpi=_DOTS_PER_INCH, format=path.suffix.lower().removeprefix("."))

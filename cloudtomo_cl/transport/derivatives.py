@@ -12,7 +12,7 @@ from cloudtomo_cl.opencl.fixed_point import require_sums
 from cloudtomo_cl.opencl.layout import TABLE_UNIT
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.phase import PhaseFunction
-from cloudtomo_cl.transport.radiance import FIXED_POINT_SCALE, RadianceOperator, Rendering
+from cloudtomo_cl.transport.radiance import FIXED_POINT_SCALE, RadianceOperator, Rendering, largest_adjoint
 
 if TYPE_CHECKING:
     pass
@@ -168,11 +168,9 @@ class RadianceTable:
     def _walk(self, rendering: Rendering, adjoint: np.ndarray, change: Any) -> tuple[Any, np.ndarray]:
         operator = self._operator
         total = self._array.zeros(operator.device.queue, operator.scene.grid.shape, np.int64)
-        largest = float(np.abs(adjoint).max())
-        if not np.isfinite(largest):
-            raise DataError("adjoint is not finite")
-        scale = FIXED_POINT_SCALE / largest if largest > 0 else 0.0
-        factors = operator.device.constant((adjoint * scale).astype(np.float32))
+        largest = largest_adjoint(adjoint)
+        shares = adjoint / largest if largest > 0 else np.zeros_like(adjoint)
+        factors = operator.device.constant((shares * FIXED_POINT_SCALE).astype(np.float32))
         tangent = np.zeros(len(operator.pixels))
         for launch in operator.stored_launches(rendering):
             paths = self._array.empty(operator.device.queue, launch.paths, np.float32)
@@ -184,7 +182,9 @@ class RadianceTable:
         require_sums(total.get(), "the gradient", "voxel")
         irradiance = operator.scene.sun.irradiance
         unit = largest / FIXED_POINT_SCALE * irradiance / (rendering.samples // 2)
-        return total.astype(np.float32) * np.float32(unit), tangent * irradiance / rendering.samples
+        with operator.device.lock:  # pyopencl's own kernels, too, are shared by threads
+            gradient = total.astype(np.float32) * np.float32(unit)
+        return gradient, tangent * irradiance / rendering.samples
 
     def _refresh(self, rendering: Rendering) -> None:
         """Makes source and radiance anew from what paths have brought, at a rendering's extinction."""

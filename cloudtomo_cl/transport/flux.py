@@ -13,6 +13,7 @@ from cloudtomo_cl.opencl.device import Device, Pace, choose_device, device_error
 from cloudtomo_cl.opencl.fixed_point import require_sums
 from cloudtomo_cl.opencl.layout import FLUXES, MOST_SAMPLES, WEIGHT_UNIT, sun_view_struct
 from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.scene.seeds import checked_seed
 from cloudtomo_cl.transport.audit import Audit, Budget
 from cloudtomo_cl.transport.medium import Medium
 
@@ -143,6 +144,7 @@ class FluxOperator:
 
         if photons < 1:
             raise DataError(f"photons is {photons}: it must be at least 1")
+        seed = checked_seed(seed)
         field = self._medium.filled(extinction, skips_empty=True)
         samples = -(-photons // (_BATCHES * self._pixels))  # per pixel of the sun and batch
         if _BATCHES * samples > MOST_SAMPLES:

@@ -18,6 +18,7 @@ from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.renamed import renamed_arguments, renamed_attributes
 from cloudtomo_cl.scene.pixels import all_pixels
 from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.scene.seeds import checked_seed
 from cloudtomo_cl.scene.sensors import View
 from cloudtomo_cl.transport.audit import Audit, Budget, check_replays
 from cloudtomo_cl.transport.medium import FilledMedium, Medium
@@ -29,6 +30,8 @@ Estimator = Literal["side-flights", "plain"]
 # far below the deposits that matter (about 1e-6), and a voxel's sum of them over all paths of a
 # gradient may reach 2^31 before it overflows.
 FIXED_POINT_SCALE = 2.0**32
+# Of adjoints: beyond, a voxel's sum, which has up to 2^31 of them, may be more than single precision holds.
+_LARGEST_ADJOINT = 1e28
 # What a work item does in a launch is bounded: watchdogs end launches that are too long, and some
 # drivers loops (Mesa's llvmpipe all loops of a work item after 65,535 rounds, and says nothing): paths
 # that a pixel sums up.
@@ -203,10 +206,12 @@ class RadianceOperator:
 
         Raises
         ------
-        DataError : extinction of another shape, negative or not finite; samples odd, or beyond 2^32
+        DataError : extinction of another shape, negative or not finite; samples odd, or beyond 2^32; seed or
+            stream no whole number of 32 bits
         TransportError : a radiance is not finite
         AuditError : energy was lost or gained (see `Audit.check`)
         """
+        seed, stream = checked_seed(seed), checked_seed(stream, "stream")
         if samples < 2 or samples % 2:
             raise DataError(f"samples is {samples}: it must be even and at least 2 (halves are compared)")
         if first_sample < 0 or first_sample % 2:
@@ -317,8 +322,8 @@ class RadianceOperator:
 
         Raises
         ------
-        DataError : the rendering did not keep its paths, adjoint has another shape or is not finite, filling_limit
-            is negative
+        DataError : the rendering did not keep its paths; adjoint has another shape, or values beyond single precision;
+            filling_limit is negative
         AuditError : paths bring other radiances than before
         TransportError : a voxel's sum has overflowed
         """
@@ -330,17 +335,16 @@ class RadianceOperator:
             raise DataError(f"filling_limit is {filling_limit}: it must be finite and at least 0 km^-1")
         queue = self.device.queue
         total = self._array.zeros(queue, self.scene.grid.shape, np.int64)
-        largest = float(np.abs(adjoint).max())
-        if not np.isfinite(largest):
-            raise DataError("adjoint is not finite")
+        largest = largest_adjoint(adjoint)
         if largest > 0:
-            factors = self.device.constant((adjoint * (FIXED_POINT_SCALE / largest)).astype(np.float32))
+            factors = self.device.constant((adjoint / largest * FIXED_POINT_SCALE).astype(np.float32))
             virtual = self._virtual_collisions.extinction(self, rendering, filling_limit)
             for launch in self.stored_launches(rendering):
                 self._virtual_collisions.run(launch, adjoint=factors, virtual_extinction=virtual, gradient=total)
             require_sums(total.get(), "the gradient", "voxel")
         scale = largest / FIXED_POINT_SCALE * self.scene.sun.irradiance / (rendering.samples // 2)
-        return total.astype(np.float32) * np.float32(scale)
+        with self.device.lock:  # pyopencl's own kernels, too, are shared by threads
+            return total.astype(np.float32) * np.float32(scale)
 
     def stored_launches(self, rendering: Rendering) -> Iterator[StoredLaunch]:
         """The launches of a rendering that kept its paths, for kernels to walk them again.
@@ -366,6 +370,19 @@ class RadianceOperator:
             chosen = self.pixels[:, 0] == index
             image[self.pixels[chosen, 1]] = values[chosen]
         return [image.reshape(view.pixels[1], view.pixels[0]) for image, view in zip(images, self.views)]
+
+
+def largest_adjoint(adjoint: np.ndarray) -> float:
+    """The largest absolute value. DataError if a gradient in single precision could not hold what it makes of them."""
+    largest = float(np.abs(adjoint).max(initial=0.0))
+    if not np.isfinite(largest):
+        raise DataError("adjoint is not finite")
+    if largest > _LARGEST_ADJOINT:
+        raise DataError(
+            f"adjoint has {largest:.3g} as its largest value: it must be at most {_LARGEST_ADJOINT:g}, for gradients "
+            "are in single precision: scale the cost"
+        )
+    return largest
 
 
 def footprint(voxels: int, pixels: int, stored_paths: int = 0) -> Footprint:

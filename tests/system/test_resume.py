@@ -182,7 +182,8 @@ def test_a_signal_keeps_all_and_the_same_command_goes_on(folder, name, status):
     assert "Traceback" not in message and "interrupted in stage 1 of 1, iteration" in message
     assert message.splitlines()[-1].split() == "cloudtomo reconstruct run.toml --output run --resume --seed 2".split()
     files = sorted(path.name for path in (folder / "run").iterdir())
-    assert files == ["checkpoint.npz", "figures", "history.csv", "reconstruction.nc", "settings.json"]
+    expected = ["checkpoint.npz", "figures", "files.json", "history.csv", "reconstruction.nc", "settings.json"]
+    assert files == expected
     iterations = len(history.read_text().splitlines()) - 1
     assert ct.read_extinction(folder / "run" / "reconstruction.nc")[1].max() > 0
     from cloudtomo_cl.inversion.checkpoint import read_checkpoint

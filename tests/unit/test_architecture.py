@@ -29,7 +29,7 @@ KNOWN_BY = {
     "rich": ("commands/*",),
     "xarray": ("files/*", "clouds/*"),
     "netCDF4": ("files/*", "commands/run_folder.py"),
-    "psutil": ("memory.py",),
+    "psutil": ("memory.py", "files/whole.py"),
     "miepython": ("clouds/mie.py",),
 }
 LINES_OF_FILE, LINES_OF_FUNCTION, CONDITIONALS_OF_WALK = 500, 60, 6

@@ -54,7 +54,7 @@ def test_a_failed_write_keeps_the_last_good_one(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(np, "savez", fail)
-    with pytest.raises(DataError, match="checkpoint.npz: could not be written .No space left"):
+    with pytest.raises(DataError, match="checkpoint.npz: could not be written .No space left on device"):
         some_checkpoint(iterations=2).write(path)
     assert read_checkpoint(path).iterations == 1 and list(tmp_path.iterdir()) == [path]
 

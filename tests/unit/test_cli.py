@@ -2,6 +2,7 @@
 
 import argparse
 import inspect
+import os
 import re
 import subprocess
 import sys
@@ -197,11 +198,11 @@ def test_render_reaches_a_target_error(folder, capsys):
     assert len(noise) == 2 and max(noise) <= 20
 
 
-@pytest.mark.parametrize("share", ["0", "-1%", "one", "nan"])
+@pytest.mark.parametrize("share", ["0", "-1%", "one", "nan", "7", "100%"])
 def test_render_refuses_targets_that_are_no_share(folder, capsys, share):
     with pytest.raises(SystemExit) as stop:
         main(["render", "scene.toml", f"--target-error={share}", "--output", "images.nc"])
-    assert stop.value.code == 2 and "is no share above 0" in capsys.readouterr().err
+    assert stop.value.code == 2 and "is no share between 0 and 1" in capsys.readouterr().err
 
 
 def test_flux_prints_and_writes_fluxes_with_units(folder, capsys):
@@ -230,7 +231,6 @@ def test_render_makes_a_preview_of_every_view(folder):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("scene.toml --samples 3", "samples is 3: it must be even"),
         ("absent.toml", "absent.toml: no such file"),
         ("scene.toml --device no-such-device", "no OpenCL device 'no-such-device'"),
         ("below.toml", "below.toml: view[0] is wrong: position lies below the ground"),
@@ -246,10 +246,39 @@ def test_render_that_fails_leaves_no_file(folder, capsys, arguments, message):
     assert sorted(folder.iterdir()) == before
 
 
-@pytest.mark.parametrize("output", [".", "absent/images.nc", "cloud.nc"])
-def test_render_refuses_the_output_before_the_work(folder, capsys, monkeypatch, output):
+@pytest.mark.parametrize(
+    ("output", "message"),
+    [
+        (".", "is a folder: choose the name of a file"),
+        ("absent/images.nc", "does not exist: make it first"),
+        ("cloud.nc", "choose another --output"),
+        ("/dev/null", "is no plain file"),
+    ],
+)
+def test_render_refuses_the_output_before_the_work(folder, capsys, monkeypatch, output, message):
     monkeypatch.setattr(rendering, "choose_device", lambda name: pytest.fail("the work began"))
-    assert "choose another --output" in fails(capsys, "render", "scene.toml", "--output", output)
+    assert message in fails(capsys, "render", "scene.toml", "--output", output)
+
+
+@pytest.mark.parametrize("number", ["0", "3", "-2", "1.5", "many"])
+def test_render_refuses_samples_that_are_not_even(folder, capsys, number):
+    with pytest.raises(SystemExit) as stop:
+        main(["render", "scene.toml", f"--samples={number}", "--output", "images.nc"])
+    assert stop.value.code == 2 and "is no even number of paths per pixel" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("render scene.toml --output images.vti", "images.vti: the name must end in .nc"),
+        ("flux scene.toml --output fluxes.txt", "fluxes.txt: the name must end in .nc"),
+        ("cloud cloud.nc --output other.npy", "other.npy: the name must end in .nc"),
+        ("cloud cloud.nc --png cloud.jpg", "cloud.jpg: the name must end in .png or .pdf or .svg"),
+        ("mie --wavelength 672 --effective-radius 10 --output mie.csv", "mie.csv: the name must end in .nc"),
+    ],
+)
+def test_names_of_other_formats_are_refused(folder, capsys, command, message):
+    assert message in fails(capsys, *command.split())
 
 
 @pytest.mark.parametrize(
@@ -303,12 +332,29 @@ def test_reconstruct_does_not_touch_an_older_run(folder, rendered, capsys):
     assert "--overwrite" in fails(capsys, "reconstruct", "run.toml", "--output", "run")
 
 
-def test_report_of_a_moved_run_does_without_the_images(folder, rendered, capsys):
+def test_report_of_a_moved_run_does_without_the_truth(folder, rendered, capsys):
     Path("images.nc").write_bytes(rendered)
     assert main("reconstruct run.toml --quiet --no-report --output run".split()) == 0
     Path("images.nc").unlink()
-    assert main(["report", "run"]) == 0 and "images.nc is not there any more" in capsys.readouterr().err
-    assert Path("run/figures/slices.png").is_file()
+    Path("cloud.nc").unlink()
+    assert main(["report", "run"]) == 0 and "cloud.nc is not there any more" in capsys.readouterr().err
+    # The result keeps the images.
+    assert Path("run/figures/comparison.png").is_file() and not Path("run/figures/scatter.png").exists()
+
+
+def test_what_a_notebook_draws_with_is_not_asked_for(folder):
+    environment = os.environ | {"MPLBACKEND": "module://not_installed_here"}
+    words = [sys.executable, "-m", "cloudtomo_cl", "cloud", "cloud.nc", "--png", "cloud.png"]
+    assert subprocess.run(words, env=environment, capture_output=True, timeout=60).returncode == 0
+
+
+def test_reconstruct_refuses_a_start_that_light_never_leaves_before_the_first_path(
+    folder, rendered, monkeypatch, capsys
+):
+    Path("images.nc").write_bytes(rendered)
+    monkeypatch.setattr(reconstruction, "carved_mask", lambda *_: pytest.fail("a path was walked"))
+    message = fails(capsys, *"reconstruct run.toml --output run --set solver.start=1e6".split())
+    assert "solver.start is 1e+06 km^-1" in message and not Path("run").exists()
 
 
 def test_report_of_no_run_fails(folder, capsys):

@@ -374,3 +374,17 @@ def test_a_variable_says_which_pixels_are_valid(tmp_path):
 def test_the_package_imports_without_xarray():
     code = "import sys, cloudtomo_cl.files.measurements; sys.exit('xarray' in sys.modules or 'netCDF4' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_a_file_that_is_being_written_is_not_called_damaged(tmp_path):
+    pytest.importorskip("fcntl")
+    path = tmp_path / "cloud.nc"
+    write_extinction(path, Grid((2, 2, 2), (0.1, 0.1, 0.1)), np.ones((2, 2, 2)))
+    code = f"import netCDF4; d = netCDF4.Dataset({str(path)!r}, 'a'); print('open', flush=True); input()"
+    words = [sys.executable, "-c", code]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as writer:
+        assert writer.stdout.readline() == "open\n"
+        with pytest.raises(DataError, match="another program has it open for writing"):
+            read_extinction(path)
+        writer.communicate("\n", timeout=60)
+    assert read_extinction(path)[1].max() == 1

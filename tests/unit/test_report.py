@@ -63,10 +63,14 @@ def test_a_difference_of_two_standard_errors_is_told():
     view = OrthographicView(zenith=10, width=1, pixels=(3, 2))
     measured, modelled = (
         Measurements((view,), (np.full((2, 3), mean),), (np.full((2, 3), error),))
-        for mean, error in ((1.0, 0.3), (2.0, 0.4))
+        for mean, error in ((2.0, 0.3), (1.0, 0.4))
     )
-    text = page(measurements=measured, modelled=modelled)
-    assert "<td>0</td><td>1.000</td><td>2.000</td><td>100.0%</td><td>4</td>" in text
+    cells = ["0", "2.000", "1.000", "-50.00 %", "50.0 %", "4", "0.0%"]
+    assert "".join(f"<td>{cell}</td>" for cell in cells) in page(measurements=measured, modelled=modelled)
+
+
+def test_what_is_left_out_is_said():
+    assert '<p class="note">a &lt; b</p>' in page(notes=["a < b"])
 
 
 @pytest.mark.parametrize(

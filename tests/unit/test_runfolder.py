@@ -72,7 +72,7 @@ def test_a_folder_with_a_run_is_not_taken(begun):
 
 
 def test_a_folder_with_a_run_is_taken_on_demand(begun):
-    RunFolder(begun.path).check_new(overwrite=True)
+    RunFolder(begun.path, overwrite=True).check_new()
 
 
 def test_a_folder_with_other_files_is_taken(tmp_path):
@@ -82,7 +82,7 @@ def test_a_folder_with_other_files_is_taken(tmp_path):
 
 def test_a_second_run_leaves_nothing_of_the_first(begun):
     begun.write_reconstruction(GRID, np.ones(GRID.shape), np.ones(GRID.shape, bool), {})
-    second = RunFolder(begun.path)
+    second = RunFolder(begun.path, overwrite=True)
     second.begin({})
     second.append(Record(0, 0.1, None))
     second.close()
@@ -90,10 +90,64 @@ def test_a_second_run_leaves_nothing_of_the_first(begun):
         second.read_reconstruction()
 
 
+def foreign_files(folder):
+    """Files of somebody else's, some with names that a run needs."""
+    names = ("report.html", "modelled.nc", ".draft.partial", "figures/mine.png", "figures/mine.pdf", "figures/maps.png")
+    (folder / "figures").mkdir()
+    for name in names:
+        (folder / name).write_text("not ours")
+    return [folder / name for name in names]
+
+
+def test_files_of_others_are_neither_removed_nor_replaced(tmp_path):
+    files = foreign_files(tmp_path)
+    with pytest.raises(DataError, match="modelled.nc: no run has written it"):
+        RunFolder(tmp_path).check_new()
+    folder = RunFolder(tmp_path)
+    folder.begin({})
+    folder.append(Record(0, 0.1, None))
+    folder.close()
+    with pytest.raises(DataError, match="report.html: no run has written it"):
+        folder.claim(folder.report_file)
+    with pytest.raises(DataError, match="no run has written it"):
+        RunFolder(tmp_path).check_own()
+    assert [file.read_text() for file in files] == ["not ours"] * len(files)
+
+
+def test_overwriting_removes_what_a_run_has_written_and_nothing_else(tmp_path):
+    first = RunFolder(tmp_path)
+    first.begin({})
+    first.append(Record(0, 0.1, None))
+    first.close()
+    ours = [first.report_file, first.figures / "maps.pdf"]
+    first.claim(*ours)
+    for file in ours:
+        file.write_text("ours")
+    mine = [first.figures / "mine.png", tmp_path / ".draft.partial", first.figures / "scatter.png"]
+    for file in mine:
+        file.write_text("mine")
+    second = RunFolder(tmp_path, overwrite=True)
+    second.begin({})
+    second.append(Record(0, 0.1, None))
+    second.close()
+    assert not any(file.exists() for file in ours) and all(file.read_text() == "mine" for file in mine)
+
+
+def test_a_list_leads_nowhere_else(tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "precious").write_text("mine")
+    (tmp_path / "run" / "files.json").write_text(json.dumps(["../precious", str(tmp_path / "precious")]))
+    folder = RunFolder(tmp_path / "run", overwrite=True)
+    folder.begin({})
+    folder.append(Record(0, 0.1, None))
+    folder.close()
+    assert (tmp_path / "precious").read_text() == "mine"
+
+
 def test_a_file_is_no_run_folder(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(DataError, match="is a file"):
-        RunFolder(tmp_path / "file").check_new(overwrite=True)
+        RunFolder(tmp_path / "file", overwrite=True).check_new()
 
 
 def test_damaged_settings_are_named(begun):

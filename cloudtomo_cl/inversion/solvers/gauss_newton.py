@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass as plain_dataclass
 from dataclasses import replace
 from typing import Annotated, Literal
@@ -24,6 +25,7 @@ from cloudtomo_cl.transport.derivatives import table_footprint
 from cloudtomo_cl.transport.jacobian import jacobian_footprint
 from cloudtomo_cl.transport.radiance import Rendering, pooled
 
+_LOGGER = logging.getLogger(__name__)
 # Share of a predicted change of a pixel that is taken for the prediction's error.
 _TANGENT_ERROR = 0.1
 # Of L-BFGS-B's memory.
@@ -222,7 +224,8 @@ def _derivatives_of(problem: Problem, state: GaussNewtonState, seed: int) -> Jac
     if state.derivatives is not None:
         return state.derivatives
     derivatives = JacobianAverage(problem, tail_rate)
-    for stream, extinction in zip(state.streams, state.walked):
+    for number, (stream, extinction) in enumerate(zip(state.streams, state.walked)):
+        _LOGGER.info("replaying the paths of iteration %d of %d", number + 1, len(state.streams))
         derivatives.add(problem, extinction, seed, int(stream))
     return derivatives
 
