@@ -285,6 +285,27 @@ class Device:
 
         return pyopencl.array.to_device(self.queue, np.ascontiguousarray(values))
 
+    def buffer(self, size: int) -> Any:
+        """Memory on the device, `size` bytes, whose values are not set: for arrays of structs."""
+        cl = _import_pyopencl()
+        return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
+
+    def clear(self, buffer: Any) -> None:
+        """Makes all bytes of a buffer, or of an array's, 0."""
+        cl = _import_pyopencl()
+        memory = getattr(buffer, "data", buffer)
+        cl.enqueue_fill_buffer(self.queue, memory, np.zeros(1, np.uint8), 0, memory.size)
+
+    def read(self, buffer: Any, values: np.ndarray) -> None:
+        """Copies a buffer into an array of the host, whose dtype says what it holds."""
+        _import_pyopencl().enqueue_copy(self.queue, values, buffer)
+
+    def is_array(self, value: Any) -> bool:
+        """Whether something is an array on a device."""
+        import pyopencl.array
+
+        return isinstance(value, pyopencl.array.Array)
+
     def zeros(self, shape: Any, dtype: Any) -> DeviceArray:
         """An array of zeros on the device."""
         import pyopencl.array

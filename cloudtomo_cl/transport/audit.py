@@ -106,9 +106,7 @@ class Budget:
     """The budget on the device, one per run of paths."""
 
     def __init__(self, device: Device) -> None:
-        import pyopencl.array
-
-        self.sums = pyopencl.array.zeros(device.queue, (BUDGET_COPIES, len(TERMINATIONS)), np.int64)
+        self.sums = device.zeros((BUDGET_COPIES, len(TERMINATIONS)), np.int64)
 
     @property
     def data(self) -> Any:

@@ -68,12 +68,9 @@ class RadianceTable:
     """
 
     def __init__(self, operator: RadianceOperator) -> None:
-        import pyopencl.array
-
         if operator.mask is None:
             raise DataError("a radiance table needs the mask of its operator: give one, for instance of ones")
         self._operator = operator
-        self._array = pyopencl.array
         device, mask = operator.device, operator.mask
         self._mask = mask
         self.columns = int(mask.sum())
@@ -101,10 +98,9 @@ class RadianceTable:
         self._albedo = albedos[len(albedos) // 2]
         self._scattering = scattering_matrix(cloud.phase_function)
         self._table = np.zeros((self.columns, BINS, 2), np.float32)  # km, sr^-1 km
-        queue = device.queue
-        self._field = pyopencl.array.zeros(queue, (self.columns, BINS, 2), np.int64)
-        self._scattered = pyopencl.array.zeros(queue, (self.columns, BINS), np.float32)
-        self._sunlight = pyopencl.array.zeros(queue, self.columns, np.float32)
+        self._field = device.zeros((self.columns, BINS, 2), np.int64)
+        self._scattered = device.zeros((self.columns, BINS), np.float32)
+        self._sunlight = device.zeros(self.columns, np.float32)
         self._gradients = 0
 
     def gradient(self, rendering: Rendering, adjoint: np.ndarray, change: Any) -> tuple[Any, np.ndarray]:
@@ -140,7 +136,7 @@ class RadianceTable:
         """
         operator = self._operator
         if self._gradients == 0:
-            nothing = self._array.zeros(operator.device.queue, operator.scene.grid.shape, np.float32)
+            nothing = operator.device.zeros(operator.scene.grid.shape, np.float32)
             self._walk(rendering, np.zeros((len(operator.pixels), 2)), nothing)
         self._refresh(rendering)
         self._gradients += 1
@@ -167,13 +163,13 @@ class RadianceTable:
 
     def _walk(self, rendering: Rendering, adjoint: np.ndarray, change: Any) -> tuple[Any, np.ndarray]:
         operator = self._operator
-        total = self._array.zeros(operator.device.queue, operator.scene.grid.shape, np.int64)
+        total = operator.device.zeros(operator.scene.grid.shape, np.int64)
         largest = largest_adjoint(adjoint)
         shares = adjoint / largest if largest > 0 else np.zeros_like(adjoint)
         factors = operator.device.constant((shares * FIXED_POINT_SCALE).astype(np.float32))
         tangent = np.zeros(len(operator.pixels))
         for launch in operator.stored_launches(rendering):
-            paths = self._array.empty(operator.device.queue, launch.paths, np.float32)
+            paths = operator.device.empty(launch.paths, np.float32)
             launch.run(
                 self._gradient_paths, **self.buffers, adjoint=factors, change=change, gradient=total,
                 path_tangent=paths,
@@ -188,19 +184,11 @@ class RadianceTable:
 
     def _refresh(self, rendering: Rendering) -> None:
         """Makes source and radiance anew from what paths have brought, at a rendering's extinction."""
-        import pyopencl
-
         self._table *= _FADING
         field = self._field.get()
         require_sums(field, "the radiance table", "voxel of the mask, direction and kind")
         self._table += field / np.float32(TABLE_UNIT)
-        pyopencl.enqueue_fill_buffer(
-            self._operator.device.queue,
-            self._field.data,  # type: ignore[arg-type]  # an array's is a buffer
-            np.zeros(1, np.uint8),
-            0,
-            self._field.nbytes,
-        )
+        self._operator.device.clear(self._field)
         radiance = self._radiance()
         scattered = self._albedo * (radiance @ self._scattering.T) - radiance
         self._scattered.set(scattered.astype(np.float32))

@@ -140,8 +140,6 @@ class FluxOperator:
         AuditError : energy was lost or gained (see `Audit.check`)
         TransportError : a column's sum has overflowed
         """
-        import pyopencl.array
-
         if photons < 1:
             raise DataError(f"photons is {photons}: it must be at least 1")
         seed = checked_seed(seed)
@@ -154,7 +152,7 @@ class FluxOperator:
         budget = Budget(self.device)
         batches = np.empty((_BATCHES, *shape))
         for batch in range(_BATCHES):
-            columns = pyopencl.array.zeros(self.device.queue, shape, np.int64)
+            columns = self.device.zeros(shape, np.int64)
             done = 0
             while done < samples:
                 number = int(np.clip(self._pace.work_items // self._pixels, 1, samples - done))

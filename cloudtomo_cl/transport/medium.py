@@ -74,14 +74,11 @@ class Medium:
         truncation: float = np.inf,
         mask: np.ndarray | None = None,
     ) -> None:
-        import pyopencl.array
-
         if mask is not None and mask.shape != scene.grid.shape:
             raise DataError(f"mask has shape {mask.shape}, the grid {scene.grid.shape}")
         self.scene = scene
         self.device = device
         self.mask = mask
-        self._array = pyopencl.array
         # Molecules are everywhere: nothing can be skipped.
         self._has_air = scene.air is not None and bool(np.any(scene.air.profile(scene.grid)))
         self._structs = {
@@ -134,7 +131,7 @@ class Medium:
         if tuple(extinction.shape) != self.scene.grid.shape:
             raise DataError(f"extinction has shape {tuple(extinction.shape)}, the grid {self.scene.grid.shape}")
         clear, skips_zeros = self._empty_by_mask, False
-        if isinstance(extinction, self._array.Array):
+        if self.device.is_array(extinction):
             beta = extinction
         else:
             values = np.ascontiguousarray(extinction, np.float32)
@@ -142,7 +139,7 @@ class Medium:
             check_depth(values, min(self.scene.grid.spacing))
             if self.mask is not None and values[~self.mask].any():
                 raise DataError("extinction is above 0 outside of the mask: set it to 0 there, or widen the mask")
-            beta = self._array.to_device(self.device.queue, values)
+            beta = self.device.array(values)
             if clear is None and skips_empty and not self._has_air:
                 clear, skips_zeros = self._clear(values > 0), True
         return FilledMedium(

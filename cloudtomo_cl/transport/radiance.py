@@ -148,9 +148,6 @@ class RadianceOperator:
         truncation: float | None = None,
         mask: np.ndarray | None = None,
     ) -> None:
-        import pyopencl as cl
-        import pyopencl.array
-
         if not views:
             raise DataError("no view: a scene needs at least one to be rendered")
         if truncation is not None and not truncation > 0:
@@ -164,8 +161,6 @@ class RadianceOperator:
         if pixels is None:
             _require_memory(self.device, scene.grid.shape, sum(voxels_of(view.pixels) for view in self.views))
         self.pixels = all_pixels(self.views) if pixels is None else np.ascontiguousarray(pixels, np.uint32)
-        self._cl = cl
-        self._array = pyopencl.array
         self._medium = Medium(
             scene, self.device, effective_radius, self.estimator == "side-flights", truncation or np.inf, mask
         )
@@ -218,17 +213,17 @@ class RadianceOperator:
             raise DataError(f"first_sample is {first_sample}: it must be even and at least 0")
         if first_sample + samples > MOST_SAMPLES:
             raise DataError(f"{first_sample + samples} paths per pixel are more than the {MOST_SAMPLES} that there are")
-        queue, count = self.device.queue, len(self.pixels)
+        count = len(self.pixels)
         medium = self._medium.filled(extinction, skips_empty=not store_paths)
         size = count * STRUCTS["PixelSums"].itemsize
-        sums = self._cl.Buffer(self.device.context, self._cl.mem_flags.READ_WRITE, size)
-        self._cl.enqueue_fill_buffer(queue, sums, np.zeros(1, np.uint8), 0, sums.size)
+        sums = self.device.buffer(size)
+        self.device.clear(sums)
         budget = Budget(self.device)
         launches: list[tuple[int, Any]] = []
         done = 0
         while done < samples:
             first, number = first_sample + done, int(np.clip(self._pace.work_items // count, 1, samples - done))
-            paths = self._array.empty(queue, number * count, np.float32)
+            paths = self.device.empty(number * count, np.float32)
             self._pace.launch(
                 self._render_paths,
                 number * count,
@@ -284,7 +279,7 @@ class RadianceOperator:
         launches: list[tuple[int, Any]],
     ) -> Rendering:
         host = np.empty(len(self.pixels), STRUCTS["PixelSums"])
-        self._cl.enqueue_copy(self.device.queue, host, sums)
+        self.device.read(sums, host)
         irradiance = self.scene.sun.irradiance
         halves = irradiance * (host["half_sum"].astype(float) + host["half_low"]) / (samples // 2)
         mean = halves.mean(axis=1)
@@ -333,8 +328,7 @@ class RadianceOperator:
             raise DataError(f"adjoint has shape {adjoint.shape}, not ({len(self.pixels)}, 2)")
         if filling_limit is not None and not 0 <= filling_limit < np.inf:
             raise DataError(f"filling_limit is {filling_limit}: it must be finite and at least 0 km^-1")
-        queue = self.device.queue
-        total = self._array.zeros(queue, self.scene.grid.shape, np.int64)
+        total = self.device.zeros(self.scene.grid.shape, np.int64)
         largest = largest_adjoint(adjoint)
         if largest > 0:
             factors = self.device.constant((adjoint / largest * FIXED_POINT_SCALE).astype(np.float32))
@@ -356,7 +350,7 @@ class RadianceOperator:
         """
         if not rendering._launches:
             raise DataError("this rendering kept no paths: render with store_paths=True")
-        astray = self._array.zeros(self.device.queue, 1, np.uint32)
+        astray = self.device.zeros(1, np.uint32)
         for first, paths in rendering._launches:
             walk = self._arguments(rendering._medium, first, paths.size, rendering.seed, rendering.stream)
             stored = {"path_radiance": paths, "astray": astray}

@@ -42,13 +42,10 @@ class VirtualCollisions:
 
         arguments : adjoint, virtual_extinction, gradient; of both kernels
         """
-        import pyopencl
-        import pyopencl.array
-
         size = min(_PART, launch.paths) * STRUCTS["VirtualCollision"].itemsize
-        collisions = pyopencl.Buffer(self._device.context, pyopencl.mem_flags.READ_WRITE, size)
+        collisions = self._device.buffer(size)
         for begin in range(0, launch.paths, _PART):
-            count = pyopencl.array.zeros(self._device.queue, 1, np.uint32)
+            count = self._device.zeros(1, np.uint32)
             launch.run_part(
                 self._replay_paths, begin, min(begin + _PART, launch.paths), **arguments,
                 virtual_collisions=collisions, virtual_collision_count=count,
@@ -63,8 +60,6 @@ class VirtualCollisions:
         Together with the cloud's droplets it is at least `limit` (km^-1) in every voxel; by default so much that a
         path meets a tenth of a virtual droplet.
         """
-        import pyopencl.array
-
         extinction = rendering._medium.extinction.get()
         if limit is None:
             lengths = self._lengths(operator, rendering)
@@ -76,18 +71,16 @@ class VirtualCollisions:
         virtual = np.maximum(np.float32(limit) - extinction, np.float32(0))
         if operator.mask is not None:
             virtual[~operator.mask] = -1
-        return pyopencl.array.to_device(self._device.queue, virtual)
+        return self._device.array(virtual)
 
     def _lengths(self, operator: RadianceOperator, rendering: Rendering) -> np.ndarray:
         """km that a path flies through every voxel, on average over some paths of other random numbers."""
-        import pyopencl.array
-
         count = len(operator.pixels)
         evenly = np.unique(np.linspace(0, count - 1, min(count, _PATHS)).astype(int))
         chosen = operator.of_pixels(operator.pixels[evenly])
         paths = len(evenly) * -(-_PATHS // len(evenly))
         given = chosen._arguments(rendering._medium, 0, paths, rendering.seed, rendering.stream)
-        lengths = pyopencl.array.zeros(self._device.queue, operator.scene.grid.shape, np.int64)
+        lengths = self._device.zeros(operator.scene.grid.shape, np.int64)
         unit = 1.0 / (_UNIT * min(operator.scene.grid.spacing))
         self._device.launch(self._path_lengths, paths, **given, unit=unit, lengths=lengths)
         sums = lengths.get()

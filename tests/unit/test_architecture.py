@@ -17,14 +17,7 @@ ROOMS = (
 )  # fmt: skip
 # Packages that only some files know.
 KNOWN_BY = {
-    # Beside what walks paths, whatever holds arrays on the device: extinction, prior, moments of descents.
-    "pyopencl": (
-        "opencl/*",
-        "transport/*",
-        "inversion/problem.py",
-        "inversion/priors.py",
-        "inversion/solvers/descent.py",
-    ),
+    "pyopencl": ("opencl/*",),
     "matplotlib": ("report/*",),
     "rich": ("commands/*",),
     "xarray": ("files/*", "clouds/*"),
