@@ -426,8 +426,7 @@ def radiance(
     samples = 2 * max(photons // (2 * len(operator.pixels)), 1)
     rendering = operator.render(experiment.extinction, samples, seed)
     mean, error = (
-        factor * map_of_columns(operator.images(values)[0])
-        for values in (rendering.mean, rendering.standard_error)
+        factor * map_of_columns(operator.images(values)[0]) for values in (rendering.mean, rendering.standard_error)
     )
     return mean, error
 
@@ -467,4 +466,3 @@ def compare_columns(
     return Row(
         mean.experiment, quantity, mean.source, 0.0, float(rms / scale), float(error / scale), mean.photons, True
     )
-

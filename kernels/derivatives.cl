@@ -8,7 +8,7 @@ typedef struct {
     float adjoint; /* derivative of the cost with respect to this path's radiance, scaled */
     volatile __global Accumulator *gradient;
     const __global float *change; /* of extinction, km^-1, [x][y][z] */
-    float tangent; /* derivative of the path's radiance along `change`, sr^-1 */
+    float tangent;                /* derivative of the path's radiance along `change`, sr^-1 */
 } Tally;
 
 inline void tally_derivative(int index, int column, float derivative, bool is_first, Tally *tally)
@@ -34,10 +34,14 @@ __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
     const uint2 pixel = pixels[pixel_in_list];
     const SampleKey key = {seed, stream, pixel.y, pixel.x, sample};
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
-    Tally tally = {
-        0.0f, 1.0f, path_radiance[path], {column, scattered, sunlight, table_sums},
-        sample & 1u ? halves.y : halves.x, gradient, change, 0.0f
-    };
+    Tally tally = {0.0f,
+                   1.0f,
+                   path_radiance[path],
+                   {column, scattered, sunlight, table_sums},
+                   sample & 1u ? halves.y : halves.x,
+                   gradient,
+                   change,
+                   0.0f};
     walk_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &tally);
     check_replay(tally.radiance, tally.total, astray);
     path_tangent[path] = tally.tangent;

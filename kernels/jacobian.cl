@@ -9,8 +9,8 @@ typedef struct {
     RadianceTable table;
     const __constant Scene *scene;
     const __global Tile *tile;
-    const __global ushort4 *place; /* of every column: voxel */
-    const __global int *block;     /* of every column */
+    const __global ushort4 *place;       /* of every column: voxel */
+    const __global int *block;           /* of every column */
     volatile __global Accumulator *near; /* [slot]: the pixel's, units of DERIVATIVE_UNIT per sr^-1 km */
     volatile __global Accumulator *far;  /* [block]: the pixel block's */
 } Tally;
@@ -37,11 +37,16 @@ __kernel void jacobian_paths(JACOBIAN_PATHS_PARAMETERS)
     const uint2 pixel = pixels[pixel_in_list];
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
     const SampleKey key = {seed, stream, pixel.y, pixel.x, first_sample + n};
-    Tally tally = {
-        0.0f, 1.0f, path_radiance[path], {column, scattered, sunlight, table_sums}, scene, tiles + pixel_in_list,
-        place, block, near_sums + (slot_start[pixel_in_list] - slot_start[first_pixel]),
-        far_sums + (size_t)pixel_block[pixel_in_list] * block_count
-    };
+    Tally tally = {0.0f,
+                   1.0f,
+                   path_radiance[path],
+                   {column, scattered, sunlight, table_sums},
+                   scene,
+                   tiles + pixel_in_list,
+                   place,
+                   block,
+                   near_sums + (slot_start[pixel_in_list] - slot_start[first_pixel]),
+                   far_sums + (size_t)pixel_block[pixel_in_list] * block_count};
     walk_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &tally);
     check_replay(tally.radiance, tally.total, astray);
 }

@@ -33,8 +33,10 @@ inline int tile_slot(const __constant Scene *scene, const __global Tile *tile, i
     const int first = (axis + 1) % 3, second = (axis + 2) % 3;
     const int at = slab + tile->first_slab;
     const bool periodic = scene->periodic;
-    const int u = nearest_copy(component(voxel, first) - tile_corner(tile, at, 0), scene->shape[first], periodic && first < 2);
-    const int v = nearest_copy(component(voxel, second) - tile_corner(tile, at, 1), scene->shape[second], periodic && second < 2);
+    const int u =
+        nearest_copy(component(voxel, first) - tile_corner(tile, at, 0), scene->shape[first], periodic && first < 2);
+    const int v =
+        nearest_copy(component(voxel, second) - tile_corner(tile, at, 1), scene->shape[second], periodic && second < 2);
     if (u < 0 || u >= TILE_WIDTH || v < 0 || v >= TILE_WIDTH)
         return -1;
     return (slab * TILE_WIDTH + u) * TILE_WIDTH + v;

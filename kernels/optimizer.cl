@@ -2,8 +2,8 @@
  * outside of the mask stay 0, those inside stay at or above the floor (km^-1). */
 
 /* Descends by `change` in the parameter, and writes the projected extinction. */
-inline void descend(__global float *extinction, const __global uchar *mask, size_t voxel,
-                    float change, int square_root, float floor_extinction)
+inline void descend(__global float *extinction, const __global uchar *mask, size_t voxel, float change, int square_root,
+                    float floor_extinction)
 {
     if (!mask[voxel]) {
         extinction[voxel] = 0.0f;

@@ -7,10 +7,7 @@ inline int3 voxel_of(int index, int3 shape)
     return (int3)(index / (shape.y * shape.z), (index / shape.z) % shape.y, index % shape.z);
 }
 
-inline int index_of(int3 voxel, int3 shape)
-{
-    return (voxel.x * shape.y + voxel.y) * shape.z + voxel.z;
-}
+inline int index_of(int3 voxel, int3 shape) { return (voxel.x * shape.y + voxel.y) * shape.z + voxel.z; }
 
 /* A: mean of the 26 neighbours minus the centre; beyond the edge stands the nearest voxel.
  * A is symmetric, the edges included: A^T A b is this kernel twice. */
@@ -32,7 +29,8 @@ __kernel void laplacian(LAPLACIAN_PARAMETERS)
 inline float difference_z(const __global float *extinction, int index, int z, int count)
 {
     const int above = min(z + 1, count - 1), below = max(z - 1, 0);
-    return above == below ? 0.0f : (extinction[index + above - z] - extinction[index + below - z]) / (float)(above - below);
+    return above == below ? 0.0f
+                          : (extinction[index + above - z] - extinction[index + below - z]) / (float)(above - below);
 }
 
 /* Per voxel: minus tanh(c1 Dz b) tanh(c2 b) where b > threshold, and the factors that
@@ -63,6 +61,7 @@ __kernel void prior_gradient(PRIOR_GRADIENT_PARAMETERS)
         if (above != below)
             transposed += outer[index + u - z] * (float)((above == z) - (below == z)) / (float)(above - below);
     }
-    gradient[index] = smoothness * smooth[index] + monotonicity * (transposed + inner[index])
-                      + sparsity * sparsity_scale / ((extinction[index] + sparsity_scale) * (extinction[index] + sparsity_scale));
+    gradient[index] =
+        smoothness * smooth[index] + monotonicity * (transposed + inner[index])
+        + sparsity * sparsity_scale / ((extinction[index] + sparsity_scale) * (extinction[index] + sparsity_scale));
 }

@@ -23,9 +23,9 @@ inline int direction_bin(float3 direction)
 }
 
 typedef struct {
-    const __global int *column;      /* of every voxel in the table, or -1 */
-    const __global float *scattered; /* [column][bin]: source - radiance, sr^-1 */
-    const __global float *sunlight;  /* [column]: direct, share of the irradiance */
+    const __global int *column;          /* of every voxel in the table, or -1 */
+    const __global float *scattered;     /* [column][bin]: source - radiance, sr^-1 */
+    const __global float *sunlight;      /* [column]: direct, share of the irradiance */
     volatile __global Accumulator *sums; /* [column][bin][2]: km, sr^-1 km; what paths bring for the next table */
 } RadianceTable;
 

@@ -21,7 +21,7 @@ typedef struct {
     uint virtual_collisions;   /* so far */
     uint place;                /* of the one that is kept, in the list */
     uint path;
-    SampleKey key; /* of the virtual collisions */
+    SampleKey key;                            /* of the virtual collisions */
     const __global float *virtual_extinction; /* [x][y][z]; below 0: outside of the mask, nothing is deposited */
     __global VirtualCollision *list;
     volatile __global uint *listed;

@@ -72,7 +72,11 @@ RUN: dict[str, Any] = {
     "stage": [{"grid": [2, 2, 2], "pixels": 0.5, "samples": 4, "iterations": 1, "window": 2, "prior_weight": 1.0}],
     "prior": {"smoothness": 1e-4, "monotonicity": 0.1, "c1": 0.2, "c2": 0.05, "threshold": 0.01},
     "solver": {
-        "type": "adam", "step_size": 0.1, "parametrisation": "square-root", "floor": 0.01, "start": 2.0,
+        "type": "adam",
+        "step_size": 0.1,
+        "parametrisation": "square-root",
+        "floor": 0.01,
+        "start": 2.0,
         "iterate_average_window": 3,
     },
 }

@@ -184,9 +184,7 @@ def main() -> int:
                 (folder / "unseen.nc", ["render", recovered, *unseen[:-1], 4, "--output", folder / "unseen.nc"])
             )
             folder.mkdir(exist_ok=True)
-            recovered.write_text(
-                scene_settings(scene, Path("reconstruction.nc"), unseen_view(scene, pixels))
-            )
+            recovered.write_text(scene_settings(scene, Path("reconstruction.nc"), unseen_view(scene, pixels)))
     for result, command in steps:
         if not result.exists():
             status = subprocess.run([sys.executable, "-m", "cloudtomo_cl", *map(str, command)]).returncode

@@ -26,10 +26,7 @@ static double uniform(void)
 }
 
 /* Henyey-Greenstein with mean 1 over the sphere. */
-static double phase_function(double cosine)
-{
-    return (1 - G * G) / pow(1 + G * G - 2 * G * cosine, 1.5);
-}
+static double phase_function(double cosine) { return (1 - G * G) / pow(1 + G * G - 2 * G * cosine, 1.5); }
 
 static void scatter(double d[3])
 {

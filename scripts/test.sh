@@ -4,7 +4,6 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/setup.sh
 ruff check .
-# Enabled after the reformatting: the next line checks ruff format and clang-format.
-# bash scripts/format.sh --check
+bash scripts/format.sh --check
 mypy
 exec python -m pytest "$@"

@@ -236,9 +236,7 @@ def _periodic_field(generator: np.random.Generator, grid: Grid) -> np.ndarray:
     wavenumber = np.hypot(waves[:, None] / along[0], waves[None, :] / along[1])
     # In the plane a ring holds about k modes: the variance of one is E(k) / k.
     spread = np.where(wavenumber > 0, np.maximum(wavenumber, 1e-9) ** (-8 / 3), 0.0)
-    phase_x, phase_y = (
-        np.exp(2j * np.pi * np.outer((np.arange(n) + 0.5) / n, waves)) for n in grid.shape[:2]
-    )
+    phase_x, phase_y = (np.exp(2j * np.pi * np.outer((np.arange(n) + 0.5) / n, waves)) for n in grid.shape[:2])
     field = (phase_x @ (amplitudes * np.sqrt(spread)) @ phase_y.T).real
     return field / np.sqrt(spread.sum())
 

@@ -207,9 +207,7 @@ def _is_air(variable: xr.DataArray, units: str) -> bool:
     return bool(values.min() > 0.2 and values.max() < _PLAUSIBLE_AIR[1])
 
 
-def _about_others(
-    dataset: xr.Dataset, name: str, units: str, options: ReadingOptions
-) -> tuple[tuple[str, str], ...]:
+def _about_others(dataset: xr.Dataset, name: str, units: str, options: ReadingOptions) -> tuple[tuple[str, str], ...]:
     own = _stated_units(dataset[name])
     if options.units is not None and own is not None and own != options.units:
         return (("units", f"{units}, by --units, instead of the file's {own}"),)

@@ -96,8 +96,7 @@ class CloudVolume:
         if any(count < 0 for pair in voxels for count in pair):
             raise DataError("pad: numbers of voxels must not be negative; to take voxels away, crop")
         origin = [
-            _tidy(start - below * edge)
-            for start, (below, _), edge in zip(self.grid.origin, voxels, self.grid.spacing)
+            _tidy(start - below * edge) for start, (below, _), edge in zip(self.grid.origin, voxels, self.grid.spacing)
         ]
         if origin[2] < 0:
             raise DataError(

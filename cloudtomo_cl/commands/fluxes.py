@@ -141,9 +141,7 @@ def _attributes(job: Job, result: Result) -> dict[str, Any]:
     }
 
 
-def _to_compute(
-    path: Path, overrides: Sequence[str]
-) -> tuple[Scene, np.ndarray, np.ndarray | None, dict[str, Any]]:
+def _to_compute(path: Path, overrides: Sequence[str]) -> tuple[Scene, np.ndarray, np.ndarray | None, dict[str, Any]]:
     """Scene, extinction, effective radius and settings, of a scene file or of a file that keeps them."""
     if is_netcdf(path):
         return kept_scene(path, overrides)

@@ -1,15 +1,15 @@
 """The folder of a reconstruction: settings, history, result, figures.
 
-    files.json           names of the files here that runs have written: no others are ever removed or replaced
-    settings.json        all settings, versions of the packages, device, seed
-    history.csv          one line for each iteration, written as it goes
-    checkpoint.npz       what a resumed run goes on from
-    reconstruction.nc    extinction(x, y, z) in km^-1, its standard error and the mask, and what repeats the run:
-                         images, views, settings
-    modelled.nc          images of the recovered cloud
-    report.html
-    figures/*.png, *.pdf
-    .lock                while a run is at work here (folder_lock.py)
+files.json           names of the files here that runs have written: no others are ever removed or replaced
+settings.json        all settings, versions of the packages, device, seed
+history.csv          one line for each iteration, written as it goes
+checkpoint.npz       what a resumed run goes on from
+reconstruction.nc    extinction(x, y, z) in km^-1, its standard error and the mask, and what repeats the run:
+                     images, views, settings
+modelled.nc          images of the recovered cloud
+report.html
+figures/*.png, *.pdf
+.lock                while a run is at work here (folder_lock.py)
 """
 
 from __future__ import annotations

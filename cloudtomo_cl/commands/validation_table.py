@@ -86,4 +86,3 @@ def _markdown(rows: Sequence[Row], notes: Sequence[str]) -> str:
 
 # By the ending of the file's name.
 WRITERS = {".csv": _csv, ".md": _markdown}
-

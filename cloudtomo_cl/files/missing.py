@@ -136,9 +136,7 @@ def _never_written(values: np.ndarray) -> np.ndarray:
     return values == fill
 
 
-def _outside(
-    values: np.ndarray, numbers: _Attributes, attributes: dict[str, Any], variable: xr.Variable
-) -> np.ndarray:
+def _outside(values: np.ndarray, numbers: _Attributes, attributes: dict[str, Any], variable: xr.Variable) -> np.ndarray:
     """Where a value lies outside of its valid range, which is given in packed values if the values are packed."""
     lower, upper = -np.inf, np.inf
     if "validrange" in attributes:

@@ -139,6 +139,7 @@ def _require_size(path: Path) -> None:
     # Beside the values there are copies in double precision, and the index of a coordinate.
     require(3 * total, f"{path}: reading it", "crop or coarsen it")
 
+
 def _check_classic(path: str | os.PathLike[str]) -> None:
     """Raises ValueError if a file in the classic format ends too early.
 

@@ -164,9 +164,7 @@ def carve(
     return mask
 
 
-def _seen_clear(
-    view: AffineView, grid: Grid, first: int, last: int, table: np.ndarray
-) -> np.ndarray:
+def _seen_clear(view: AffineView, grid: Grid, first: int, last: int, table: np.ndarray) -> np.ndarray:
     """Which voxels of the slab first <= x < last a view sees whole, and free of cloud.
 
     `table` is the summed-area table of the cloudy pixels: the number of them above and left.

@@ -239,9 +239,7 @@ class Checkpoints:
     interval : seconds between checkpoints; more, where writing one takes more than 5 % of it
     """
 
-    def __init__(
-        self, target: str | os.PathLike[str] | Callable[[Checkpoint], None] | None, interval: float
-    ) -> None:
+    def __init__(self, target: str | os.PathLike[str] | Callable[[Checkpoint], None] | None, interval: float) -> None:
         self._target = target
         self._interval = interval
         self._due = -np.inf

@@ -181,8 +181,7 @@ class PriorOperator:
         self.device = device
         self.shape = shape
         self._kernels = {
-            name: device.kernel("prior", name)
-            for name in ("laplacian", "monotonicity_terms", "prior_gradient")
+            name: device.kernel("prior", name) for name in ("laplacian", "monotonicity_terms", "prior_gradient")
         }
         self._smooth, self._work, self._value, self._outer, self._inner = (
             device.zeros(shape, np.float32) for _ in range(5)

@@ -131,9 +131,7 @@ class Problem:
         """Extinctions of the voxels on the grid, km^-1, float32; 0 outside of the mask."""
         return self.voxels.on_grid(x)
 
-    def linearise(
-        self, x: np.ndarray, *, samples: int | None = None, seed: int = 0, stream: int = 1
-    ) -> LinearModel:
+    def linearise(self, x: np.ndarray, *, samples: int | None = None, seed: int = 0, stream: int = 1) -> LinearModel:
         """Images and their derivatives at an extinction.
 
         Parameters

@@ -214,5 +214,3 @@ def records(checkpoint: Checkpoint) -> list[IterationRecord]:
         return [IterationRecord(**row) for row in checkpoint.history]
     except TypeError:
         raise DataError("the checkpoint was made by another version: go on with that, or start a new run") from None
-
-

@@ -225,7 +225,12 @@ def transmittance(scene: Scene, extinction: np.ndarray, position: np.ndarray, di
 
 
 def met_particle(
-    scene: Scene, extinction: np.ndarray, effective_radius: np.ndarray | None, flight: Flight, u: float, u_row: float,
+    scene: Scene,
+    extinction: np.ndarray,
+    effective_radius: np.ndarray | None,
+    flight: Flight,
+    u: float,
+    u_row: float,
     virtual: np.ndarray | None = None,
 ) -> tuple[Particle, float, float]:
     """The particle of a collision, its single-scattering albedo, and 1 / extinction of a droplet, else 0.

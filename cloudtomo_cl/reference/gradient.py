@@ -63,8 +63,17 @@ class _Flown:
 
 
 def path_deposits(
-    scene: Scene, extinction: np.ndarray, virtual: np.ndarray, view: View, seed: int, stream: int, view_index: int,
-    pixel: int, sample: int, with_side_flights: bool, effective_radius: np.ndarray | None = None,
+    scene: Scene,
+    extinction: np.ndarray,
+    virtual: np.ndarray,
+    view: View,
+    seed: int,
+    stream: int,
+    view_index: int,
+    pixel: int,
+    sample: int,
+    with_side_flights: bool,
+    effective_radius: np.ndarray | None = None,
     truncation: float = np.inf,
 ) -> Deposits:
     """What a path adds to the derivative of its pixel's radiance.
@@ -150,16 +159,19 @@ def _kept_collision(collisions: Iterator[tuple[VirtualCollision, float]]) -> tup
 
 
 def _brought(
-    scene: Scene, extinction: np.ndarray, effective_radius: np.ndarray | None, start: VirtualCollision,
-    block: Callable[[int], np.ndarray], with_side_flights: bool, truncation: float,
+    scene: Scene,
+    extinction: np.ndarray,
+    effective_radius: np.ndarray | None,
+    start: VirtualCollision,
+    block: Callable[[int], np.ndarray],
+    with_side_flights: bool,
+    truncation: float,
 ) -> float:
     """Radiance of the path that begins at a virtual collision, sr^-1."""
     nothing = np.zeros(scene.grid.shape)
     if not start.aside:
         events = walk(scene, extinction, effective_radius, start.position, start.direction, block, start=start)
-        found = gather(
-            scene, extinction, effective_radius, events, block, with_side_flights, truncation, start.share
-        )
+        found = gather(scene, extinction, effective_radius, events, block, with_side_flights, truncation, start.share)
         return sum(c.radiance for c in found)
     v = block(BLOCKS_PER_EVENT * start.number + 1)
     radius = None if effective_radius is None else effective_radius[start.voxel]

@@ -56,8 +56,13 @@ class Contribution:
 
 
 def local_estimate(
-    scene: Scene, extinction: np.ndarray, position: np.ndarray, weight: float, history: np.ndarray,
-    u_roulette: float | None, truncation: float = np.inf,
+    scene: Scene,
+    extinction: np.ndarray,
+    position: np.ndarray,
+    weight: float,
+    history: np.ndarray,
+    u_roulette: float | None,
+    truncation: float = np.inf,
 ) -> Contribution:
     """Sunlight at a collision (Eq. 4), with the gradient of Eqs. 13-18.
 
@@ -84,9 +89,19 @@ def local_estimate(
 
 
 def side_flights(
-    scene: Scene, extinction: np.ndarray, effective_radius: np.ndarray | None, position: np.ndarray,
-    before: np.ndarray, particle: Particle, weight: float, count: float, history: np.ndarray, number: int,
-    random: Iterator[np.ndarray], truncation: float = np.inf, virtual: np.ndarray | None = None,
+    scene: Scene,
+    extinction: np.ndarray,
+    effective_radius: np.ndarray | None,
+    position: np.ndarray,
+    before: np.ndarray,
+    particle: Particle,
+    weight: float,
+    count: float,
+    history: np.ndarray,
+    number: int,
+    random: Iterator[np.ndarray],
+    truncation: float = np.inf,
+    virtual: np.ndarray | None = None,
     flown: Callable[[np.ndarray, float, float], None] = lambda *_: None,
 ) -> Iterator[Contribution]:
     """The next order's sunlight by `number` flights drawn around the sun (docs/reference/random-numbers.md).
@@ -166,9 +181,14 @@ class Event:
 
 
 def walk(
-    scene: Scene, extinction: np.ndarray, effective_radius: np.ndarray | None, position: np.ndarray,
-    direction: np.ndarray, block: Callable[[int], np.ndarray],
-    leave: Callable[[int, Flight, np.ndarray, float], None] = lambda *_: None, virtual: np.ndarray | None = None,
+    scene: Scene,
+    extinction: np.ndarray,
+    effective_radius: np.ndarray | None,
+    position: np.ndarray,
+    direction: np.ndarray,
+    block: Callable[[int], np.ndarray],
+    leave: Callable[[int, Flight, np.ndarray, float], None] = lambda *_: None,
+    virtual: np.ndarray | None = None,
     flown: Callable[[int, np.ndarray, np.ndarray, float, float], None] = lambda *_: None,
     start: VirtualCollision | None = None,
 ) -> Iterator[Event]:
@@ -227,8 +247,16 @@ def walk(
 
 
 def path(
-    scene: Scene, extinction: np.ndarray, view: View, seed: int, iteration: int,
-    view_index: int, pixel: int, sample: int, with_side_flights: bool, effective_radius: np.ndarray | None = None,
+    scene: Scene,
+    extinction: np.ndarray,
+    view: View,
+    seed: int,
+    iteration: int,
+    view_index: int,
+    pixel: int,
+    sample: int,
+    with_side_flights: bool,
+    effective_radius: np.ndarray | None = None,
     truncation: float = np.inf,
 ) -> list[Contribution]:
     """All contributions of one path; their sum is its radiance.
@@ -259,8 +287,14 @@ def first_ray(scene: Scene, view: View, pixel: int, jitter: np.ndarray) -> tuple
 
 
 def gather(
-    scene: Scene, extinction: np.ndarray, effective_radius: np.ndarray | None, events: Iterator[Event],
-    block: Callable[[int], np.ndarray], with_side_flights: bool, truncation: float = np.inf, own_share: float = 1.0,
+    scene: Scene,
+    extinction: np.ndarray,
+    effective_radius: np.ndarray | None,
+    events: Iterator[Event],
+    block: Callable[[int], np.ndarray],
+    with_side_flights: bool,
+    truncation: float = np.inf,
+    own_share: float = 1.0,
     virtual: np.ndarray | None = None,
     flown: Callable[[Event, np.ndarray, float, float], None] = lambda *_: None,
     shared: Callable[[Event, float], None] = lambda *_: None,
@@ -273,7 +307,7 @@ def gather(
     flown : called with the event, direction, length (km) and share of every side flight
     shared : called with the event and the share of the flight that goes on from there
     """
-    sun, wide_g = scene.sun.direction, scene.cloud.phase_function.g ** 2
+    sun, wide_g = scene.sun.direction, scene.cloud.phase_function.g**2
     contributions: list[Contribution] = []
     for event in events:
         if event.particle.kind == "surface":
@@ -295,8 +329,19 @@ def gather(
             random = (block(first + n) for n in range(BLOCKS_PER_EVENT - 2))
             contributions.extend(
                 side_flights(
-                    scene, extinction, effective_radius, event.position, event.direction, event.particle,
-                    event.survivor, count, event.history, int(count + v[2]), random, truncation, virtual,
+                    scene,
+                    extinction,
+                    effective_radius,
+                    event.position,
+                    event.direction,
+                    event.particle,
+                    event.survivor,
+                    count,
+                    event.history,
+                    int(count + v[2]),
+                    random,
+                    truncation,
+                    virtual,
                     partial(flown, event),
                 )
             )
@@ -307,7 +352,12 @@ def gather(
 
 
 def photon(
-    scene: Scene, extinction: np.ndarray, seed: int, position: np.ndarray, pixel: int, sample: int,
+    scene: Scene,
+    extinction: np.ndarray,
+    seed: int,
+    position: np.ndarray,
+    pixel: int,
+    sample: int,
     effective_radius: np.ndarray | None = None,
 ) -> list[tuple[str, tuple[int, int], float]]:
     """What a photon from the sun leaves behind in the columns of the grid: (flux, column, weight).

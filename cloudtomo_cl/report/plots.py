@@ -103,9 +103,7 @@ def plot_maximum(axes: Axes, grid: Grid, extinction: np.ndarray, normal: int, la
     return image
 
 
-def plot_profile(
-    axes: Axes, grid: Grid, extinction: np.ndarray, effective_radius: np.ndarray | None = None
-) -> None:
+def plot_profile(axes: Axes, grid: Grid, extinction: np.ndarray, effective_radius: np.ndarray | None = None) -> None:
     """Height profiles of cloudy voxels: mean extinction, and mean effective radius (um) if known."""
     cloudy = extinction > 0
     count = cloudy.sum(axis=(0, 1))
@@ -126,9 +124,7 @@ def plot_profile(
     axes.legend(handles=lines, loc="lower right", fontsize="small")
 
 
-def plot_cloud(
-    figure: Figure, grid: Grid, extinction: np.ndarray, effective_radius: np.ndarray | None = None
-) -> None:
+def plot_cloud(figure: Figure, grid: Grid, extinction: np.ndarray, effective_radius: np.ndarray | None = None) -> None:
     """A cloud at a glance: optical depth from above, maxima from two sides, profiles."""
     (above, profile), (south, east) = figure.subplots(2, 2)
     figure.colorbar(plot_optical_depth(above, grid, extinction), ax=above, label="vertical optical depth")

@@ -19,9 +19,7 @@ from cloudtomo_cl.settings.messages import error_text, lines_of
 from cloudtomo_cl.settings.overrides import with_overrides
 
 
-def kept_scene(
-    path: Path, overrides: Sequence[str]
-) -> tuple[Scene, np.ndarray, np.ndarray | None, dict[str, Any]]:
+def kept_scene(path: Path, overrides: Sequence[str]) -> tuple[Scene, np.ndarray, np.ndarray | None, dict[str, Any]]:
     """Scene, extinction, effective radius and settings that a file of images or fluxes keeps."""
     stored = read_settings(path)
     if not isinstance(stored.get("scene"), dict):

@@ -155,9 +155,7 @@ class RadianceOperator:
         self.scene = scene
         self.views = tuple(views)
         self.device = device or choose_device()
-        self.estimator: Estimator = estimator or (
-            "side-flights" if scene.cloud.phase_function.g >= 0.5 else "plain"
-        )
+        self.estimator: Estimator = estimator or ("side-flights" if scene.cloud.phase_function.g >= 0.5 else "plain")
         if pixels is None:
             _require_memory(self.device, scene.grid.shape, sum(voxels_of(view.pixels) for view in self.views))
         self.pixels = all_pixels(self.views) if pixels is None else np.ascontiguousarray(pixels, np.uint32)
@@ -288,9 +286,7 @@ class RadianceOperator:
         wrong = ~np.isfinite(standard_error)
         if wrong.any():
             view, pixel = self.pixels[np.argmax(wrong)]
-            raise TransportError(
-                f"radiance is not finite in view {view}, pixel {pixel} (seed {seed}, stream {stream})"
-            )
+            raise TransportError(f"radiance is not finite in view {view}, pixel {pixel} (seed {seed}, stream {stream})")
         audit = budget.audit(float(mean.sum()) / irradiance * samples)
         audit.check(samples * len(self.pixels))
         return Rendering(mean, standard_error, halves, samples, seed, stream, audit, medium, launches)

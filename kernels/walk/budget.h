@@ -11,11 +11,11 @@
  * the sums, lest all wait for one address. Both from cloudtomo_cl/layout.py. */
 typedef struct {
     /* Volatile, so that they stay in memory: an event adds to one or two, and GPUs lack registers. */
-    volatile float absorbed;        /* weight, by droplets and molecules */
-    volatile float surface;         /* weight, by the surface */
-    volatile float killed;          /* less the weight that survived roulettes have given */
+    volatile float absorbed; /* weight, by droplets and molecules */
+    volatile float surface;  /* weight, by the surface */
+    volatile float killed;   /* less the weight that survived roulettes have given */
     volatile float killed_variance;
-    volatile float truncated;       /* radiance, sr^-1 */
+    volatile float truncated;            /* radiance, sr^-1 */
     volatile __global Accumulator *sums; /* [copy][Termination] */
 } Budget;
 

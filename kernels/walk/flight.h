@@ -17,7 +17,7 @@ typedef struct {
     float depth;       /* optical depth flown through */
     float droplets;    /* extinction where it collided, km^-1 */
     float air;
-    int index;         /* voxel where it collided; -1 outside of the grid */
+    int index; /* voxel where it collided; -1 outside of the grid */
 } Flight;
 
 #ifdef CLOUDTOMO_ATMOSPHERE

@@ -19,12 +19,12 @@ typedef struct {
 /* A walk along a ray, in plain numbers: compilers for CPUs keep vectors of three in memory, or
  * take them apart and together at every step. */
 typedef struct {
-    float distance;                         /* km from the ray's start to where the current voxel begins */
-    float next_x, next_y, next_z;           /* km from the ray's start to the next face, per axis */
+    float distance;                              /* km from the ray's start to where the current voxel begins */
+    float next_x, next_y, next_z;                /* km from the ray's start to the next face, per axis */
     float per_voxel_x, per_voxel_y, per_voxel_z; /* km between faces, per axis */
-    int stride_x, stride_y, stride_z;       /* to the next voxel's index, per axis */
-    int ahead_x, ahead_y, ahead_z;          /* voxels ahead in the domain, per axis; -1: it has been left */
-    int index;                              /* of the current voxel, in an array [x][y][z] */
+    int stride_x, stride_y, stride_z;            /* to the next voxel's index, per axis */
+    int ahead_x, ahead_y, ahead_z;               /* voxels ahead in the domain, per axis; -1: it has been left */
+    int index;                                   /* of the current voxel, in an array [x][y][z] */
 } VoxelWalk;
 
 inline float3 grid_spacing(const __constant Scene *scene) /* km */
@@ -53,8 +53,7 @@ inline float3 wrapped(const __constant Scene *scene, float3 position)
 }
 
 /* Where along one axis a ray is between two faces: [*near, *far] in km. */
-inline void clip_axis(float position, float direction, float spacing, float count,
-                      float *near, float *far)
+inline void clip_axis(float position, float direction, float spacing, float count, float *near, float *far)
 {
     if (direction == 0.0f) {
         if (position < 0.0f || position > count)
@@ -99,8 +98,7 @@ inline float first_face(float position, int voxel, float direction, float per_vo
 {
     if (direction == 0.0f)
         return INFINITY;
-    const float to_face = direction > 0.0f ? (float)(voxel + 1) - position
-                                           : position - (float)voxel;
+    const float to_face = direction > 0.0f ? (float)(voxel + 1) - position : position - (float)voxel;
     return greater(to_face, 0.0f) * per_voxel;
 }
 
@@ -144,10 +142,7 @@ inline int3 walk_voxel(const __constant Scene *scene, const VoxelWalk *walk)
 }
 
 /* km from the ray's start to where it leaves the current voxel. */
-inline float walk_exit(const VoxelWalk *walk)
-{
-    return lesser(walk->next_z, lesser(walk->next_x, walk->next_y));
-}
+inline float walk_exit(const VoxelWalk *walk) { return lesser(walk->next_z, lesser(walk->next_x, walk->next_y)); }
 
 /* In a periodic domain: comes back in on the other side. */
 inline void walk_wrap(const __constant Scene *scene, VoxelWalk *walk)
@@ -224,7 +219,8 @@ inline bool walk_skip(const __constant Scene *scene, VoxelWalk *walk, int empty)
     const int side_y = empty_side(scene, walk->ahead_y, walk->stride_y, scene->shape[1], empty);
     const int side_z = empty_side(scene, walk->ahead_z, walk->stride_z, scene->shape[2], empty);
     /* A ray along an axis never meets the others' faces: no 0 * infinity. */
-    const bool meets_x = walk->next_x != INFINITY, meets_y = walk->next_y != INFINITY, meets_z = walk->next_z != INFINITY;
+    const bool meets_x = walk->next_x != INFINITY, meets_y = walk->next_y != INFINITY,
+               meets_z = walk->next_z != INFINITY;
     const float beyond = lesser(meets_z ? walk->next_z + (float)side_z * walk->per_voxel_z : INFINITY,
                                 lesser(meets_x ? walk->next_x + (float)side_x * walk->per_voxel_x : INFINITY,
                                        meets_y ? walk->next_y + (float)side_y * walk->per_voxel_y : INFINITY));

@@ -57,10 +57,7 @@ inline float droplet_density(const Medium *medium, int row, float3 from, float3 
 }
 
 /* The cosine of scattering by a droplet. */
-inline float sample_droplet(const Medium *medium, int row, float u)
-{
-    return sample_table(&medium->table, row, u);
-}
+inline float sample_droplet(const Medium *medium, int row, float u) { return sample_table(&medium->table, row, u); }
 
 /* The row of a droplet in a voxel, and its single-scattering albedo. Droplets between two rows of the phase
  * table are a mixture of both. */
@@ -79,7 +76,8 @@ inline Particle choose_droplet(const Medium *medium, int index, float u_row, flo
 inline float droplet_density(const Medium *medium, int row, float3 from, float3 to)
 {
     const __constant Scene *scene = medium->scene;
-    return double_henyey_greenstein(scalar_product(from, to), scene->forward_g, scene->backward_g, scene->forward_fraction);
+    return double_henyey_greenstein(scalar_product(from, to), scene->forward_g, scene->backward_g,
+                                    scene->forward_fraction);
 }
 
 inline float sample_droplet(const Medium *medium, int row, float u)
@@ -123,7 +121,8 @@ inline float sun_density(const Medium *medium, float3 to)
 
 inline float3 sample_around_sun(const Medium *medium, float2 u)
 {
-    return direction_around(sun_direction(medium->scene), sample_droplet(medium, medium->scene->table_rows / 2, u.x), u.y);
+    return direction_around(sun_direction(medium->scene), sample_droplet(medium, medium->scene->table_rows / 2, u.x),
+                            u.y);
 }
 
 /* Which particle a collision is with, and its single-scattering albedo. */

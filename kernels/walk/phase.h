@@ -43,10 +43,7 @@ inline float sample_double_henyey_greenstein(float u, float forward_g, float bac
 }
 
 /* Scalar Rayleigh: 3 / (16 pi) (1 + cos^2). */
-inline float rayleigh(float cosine)
-{
-    return 0.1875f * ONE_OVER_PI * (1.0f + cosine * cosine);
-}
+inline float rayleigh(float cosine) { return 0.1875f * ONE_OVER_PI * (1.0f + cosine * cosine); }
 
 /* Root of c^3 + 3 c = 8 u - 4 (Cardano). */
 inline float sample_rayleigh(float u)

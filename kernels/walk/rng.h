@@ -13,7 +13,7 @@
 typedef struct {
     uint seed;
     uint stream;
-    uint pixel;   /* row * width + column, within its view */
+    uint pixel; /* row * width + column, within its view */
     uint view;
     uint sample;
 } SampleKey;
@@ -23,15 +23,15 @@ typedef struct {
 /* Paths that belong to a camera's path draw from views of their own: added to the camera's view, of which there
  * are fewer. The virtual collisions of a path, the path from one of them, and those that find path lengths. */
 #define VIRTUAL_COLLISIONS_VIEW 0x80000000u
-#define VIRTUAL_PATHS_VIEW      0x40000000u
-#define PATH_LENGTHS_VIEW       0x20000000u
+#define VIRTUAL_PATHS_VIEW 0x40000000u
+#define PATH_LENGTHS_VIEW 0x20000000u
 
 /* Blocks of a path: block 0 places the ray in its pixel; event k = 1, 2, ... has the
  * BLOCKS_PER_EVENT blocks from k * BLOCKS_PER_EVENT on. Inside an event: */
 #define BLOCKS_PER_EVENT 64u
-#define BLOCK_EVENT      0u /* free path, particle, scattering cosine, azimuth */
-#define BLOCK_ROULETTE   1u /* local estimate, path, number of side flights, row of the phase table */
-#define BLOCK_SIDE       2u /* side flight n: blocks 2 + 2 n and 3 + 2 n */
+#define BLOCK_EVENT 0u    /* free path, particle, scattering cosine, azimuth */
+#define BLOCK_ROULETTE 1u /* local estimate, path, number of side flights, row of the phase table */
+#define BLOCK_SIDE 2u     /* side flight n: blocks 2 + 2 n and 3 + 2 n */
 
 /* 32 random bits -> a float in the open interval (0, 1). (float)bits may round up to
  * 2^32, hence the clamp to the largest float below 1: -log(u) is never 0 nor infinite. */
@@ -46,8 +46,7 @@ inline float4 uniforms(const SampleKey *key, uint block)
     philox4x32_key_t k = {{key->seed, key->stream}};
     philox4x32_ctr_t c = {{key->pixel, key->view, key->sample, block}};
     philox4x32_ctr_t r = philox4x32(c, k);
-    return (float4)(open_uniform(r.v[0]), open_uniform(r.v[1]),
-                    open_uniform(r.v[2]), open_uniform(r.v[3]));
+    return (float4)(open_uniform(r.v[0]), open_uniform(r.v[1]), open_uniform(r.v[2]), open_uniform(r.v[3]));
 }
 
 #endif

@@ -6,7 +6,7 @@
 #define PROBE(count) \
     const size_t i = get_global_id(0); \
     if (i >= (count)) \
-        return
+    return
 
 /* Keys: seed, iteration, pixel, view, sample, block. */
 __kernel void probe_uniforms(const uint count, const __global uint *keys, __global float *result)
@@ -42,8 +42,9 @@ __kernel void probe_phase(const uint count, const float g, const __global float 
                           __global float *result)
 {
     PROBE(count);
-    vstore4((float4)(henyey_greenstein(cosine[i], g), rayleigh(cosine[i]),
-                     sample_henyey_greenstein(u[i], g), sample_rayleigh(u[i])), i, result);
+    vstore4((float4)(henyey_greenstein(cosine[i], g), rayleigh(cosine[i]), sample_henyey_greenstein(u[i], g),
+                     sample_rayleigh(u[i])),
+            i, result);
 }
 
 __kernel void probe_direction_around(const uint count, const __global float *axis, const __global float *cosine,
@@ -55,8 +56,8 @@ __kernel void probe_direction_around(const uint count, const __global float *axi
 
 /* A scattered direction, and its density. */
 __kernel void probe_scatter(const uint count, __constant Scene *scene, const __global float *profiles,
-                            const int particle,
-                            const __global float *from, const __global float *u, __global float *result)
+                            const int particle, const __global float *from, const __global float *u,
+                            __global float *result)
 {
     PROBE(count);
     const float3 before = vload3(i, from);
@@ -76,9 +77,9 @@ inline Ray probe_ray(const __global float *position, const __global float *direc
 }
 
 /* Lengths of a ray's crossings, km: the voxels' indices and lengths in their order. */
-__kernel void probe_crossings(const uint count, __constant Scene *scene,
-                              const __global float *position, const __global float *direction,
-                              const uint most, __global int *voxel, __global float *length, __global uint *number)
+__kernel void probe_crossings(const uint count, __constant Scene *scene, const __global float *position,
+                              const __global float *direction, const uint most, __global int *voxel,
+                              __global float *length, __global uint *number)
 {
     PROBE(count);
     Ray ray = probe_ray(position, direction, i);
@@ -101,8 +102,7 @@ __kernel void probe_crossings(const uint count, __constant Scene *scene,
 
 /* A flight: optical depth, whether it collided, and where it ended (km from the domain's corner). */
 __kernel void probe_fly(const uint count, __constant Scene *scene, const __global float *extinction,
-                        const __global float *profiles, const __global float *position,
-                        const __global float *direction,
+                        const __global float *profiles, const __global float *position, const __global float *direction,
                         const __global float *optical_depth, __global float *result)
 {
     PROBE(count);
@@ -114,7 +114,8 @@ __kernel void probe_fly(const uint count, __constant Scene *scene, const __globa
 }
 
 __kernel void probe_camera(const uint count, __constant Scene *scene, const __global View *view,
-                           const __global float *rays, const uint seed, const uint sample, __global float *position, __global float *direction)
+                           const __global float *rays, const uint seed, const uint sample, __global float *position,
+                           __global float *direction)
 {
     PROBE(count);
     const SampleKey key = {seed, 0u, (uint)i, 0u, sample};

@@ -8,9 +8,7 @@ from cloudtomo_cl.scene.pixel_errors import pooled_standard_errors
 from cloudtomo_cl.scene.pixels import neighbours
 
 GRID = ct.Grid((12, 12, 12), (0.08, 0.08, 0.08))
-VIEWS = tuple(
-    ct.OrthographicView(width=1.3, zenith=zenith, azimuth=210.0, pixels=(18, 18)) for zenith in (0.0, 50.0)
-)
+VIEWS = tuple(ct.OrthographicView(width=1.3, zenith=zenith, azimuth=210.0, pixels=(18, 18)) for zenith in (0.0, 50.0))
 TRUE_SAMPLES = 2048
 REPEATS = {16: 8, 64: 4, 256: 2}
 

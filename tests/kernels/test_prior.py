@@ -20,8 +20,14 @@ def both(device, random, shape, prior, weight=1.0):
     on_device = cl_array.to_device(device.queue, extinction)
     value, gradient = PriorOperator(prior, shape, device).value_and_gradient(on_device, weight, NOISE)
     expected = prior_value_and_gradient(
-        extinction, prior.smoothness, prior.monotonicity, prior.c1, prior.c2, prior.threshold,
-        prior.sparsity * NOISE, prior.sparsity_scale,
+        extinction,
+        prior.smoothness,
+        prior.monotonicity,
+        prior.c1,
+        prior.c2,
+        prior.threshold,
+        prior.sparsity * NOISE,
+        prior.sparsity_scale,
     )
     return value, gradient.get(), expected
 

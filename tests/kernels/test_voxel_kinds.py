@@ -37,6 +37,7 @@ def cloud():
     values[0, 0:2, 0] = 20.0 / EDGE
     values[2] = 0.4
     values[1, 3, 3] = 0.0
+
     def only(*where):
         chosen = np.zeros(GRID.shape)
         chosen[where] = 1.0

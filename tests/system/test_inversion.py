@@ -68,9 +68,7 @@ def test_a_time_limit_ends_the_run_with_a_result(problem, device):
 
 
 @pytest.mark.parametrize(("time_limit", "iterations"), [(25.0, 2), (30.0, 2), (31.0, 3), (41.0, 3)])
-def test_no_iteration_begins_that_would_end_after_the_time_limit(
-    problem, device, monkeypatch, time_limit, iterations
-):
+def test_no_iteration_begins_that_would_end_after_the_time_limit(problem, device, monkeypatch, time_limit, iterations):
     clock, step = [0.0], ct.GaussNewton.step
 
     def of_ten_seconds(*arguments, **keywords):

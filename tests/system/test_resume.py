@@ -42,7 +42,14 @@ def recover(problem, device, **options):
     return ct.reconstruct(
         scene,
         measurements,
-        **{"stages": STAGES, "mask": np.ones(truth.shape, bool), "device": device, "truth": truth, "seed": 2, **options}
+        **{
+            "stages": STAGES,
+            "mask": np.ones(truth.shape, bool),
+            "device": device,
+            "truth": truth,
+            "seed": 2,
+            **options,
+        },
     )
 
 
@@ -56,7 +63,10 @@ def timeless(history):
         ct.GaussNewton(image_samples=2),
         ct.Adam(),
         ct.SGD(
-            gradient="replay", step_size=1.0, parametrisation="extinction", image_average_window=1,
+            gradient="replay",
+            step_size=1.0,
+            parametrisation="extinction",
+            image_average_window=1,
             iterate_average_window=1,
         ),
     ],

@@ -76,8 +76,7 @@ def test_smallest_scene_has_the_defaults_of_the_api(folder):
 def test_every_table_of_a_scene_arrives(folder):
     text = SCENE.replace(
         'file = "cloud.nc"',
-        'file = "cloud.nc"\nsingle_scattering_albedo = 0.95\n'
-        'phase_function = { type = "henyey-greenstein", g = 0.7 }',
+        'file = "cloud.nc"\nsingle_scattering_albedo = 0.95\nphase_function = { type = "henyey-greenstein", g = 0.7 }',
     )
     text += '[air]\nextinction = [0.1, 0.05]\n[surface]\nalbedo = 0.4\n[boundary]\nhorizontal = "periodic"\n'
     expected = Scene(
@@ -138,7 +137,7 @@ def test_settings_hold_the_table_itself(folder):
 
 def test_a_file_that_is_no_phase_function_is_named(folder):
     with pytest.raises(DataError, match="cloud.nc: not a netCDF file"):
-        read_run(folder, f'{RUN}[cloud]\n{TABLE_FILE.replace("mie", "cloud")}')
+        read_run(folder, f"{RUN}[cloud]\n{TABLE_FILE.replace('mie', 'cloud')}")
 
 
 def test_files_are_beside_the_settings(folder):

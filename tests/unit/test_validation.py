@@ -174,5 +174,3 @@ def test_an_older_table_is_kept(computed, tmp_path, capsys):
     path.write_text("older")
     assert main(["validate", "--output", str(path)]) == 2
     assert path.read_text() == "older" and "--overwrite" in capsys.readouterr().err
-
-

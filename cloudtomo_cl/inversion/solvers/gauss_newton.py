@@ -177,9 +177,7 @@ class GaussNewton:
         return replace(state, extinction=extinction, image=image + predicted, lag=lag)
 
     @with_one_blas_thread
-    def standard_error(
-        self, problem: Problem, state: GaussNewtonState, draws: int, seed: int
-    ) -> np.ndarray | None:
+    def standard_error(self, problem: Problem, state: GaussNewtonState, draws: int, seed: int) -> np.ndarray | None:
         """Of the estimate, by so many draws from the last linear model, km^-1, shape (voxels,).
 
         None if the images' noise is not known, or before the first iteration.
