@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cloudtomo_cl.inversion.linear_model import LinearModel
 
 # Paths that derivatives are made of, for each voxel of the mask, and the least of all.
-_PATHS_PER_VOXEL = 45
+_PATHS_PER_VOXEL = 90
 _LEAST_PATHS = 50_000
 
 

@@ -87,7 +87,7 @@ class GaussNewton:
     type: Literal["gauss-newton"] = "gauss-newton"
     iterations: Count | None = None
     start: Positive = 2.0
-    image_samples: Annotated[int, Field(ge=0)] = 10
+    image_samples: Annotated[int, Field(ge=0)] = 5
     damping: NotNegative = 0.1
     inner_iterations: Count = 40
 
