@@ -13,6 +13,7 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, device_errors
+from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.scene import NotNegative, Positive
 
 # Diagonal of A^T A away from the edges: 1 + 26 / 26^2.
@@ -53,6 +54,9 @@ class Prior:
     threshold: Annotated[float, Field(ge=0)] = 0.01
     sparsity: NotNegative = 1.0
     sparsity_scale: Positive = 3.0
+
+
+Prior.__init__ = renamed_arguments(clear="sparsity_scale")(Prior.__init__)  # type: ignore[method-assign]
 
 
 @runtime_checkable

@@ -10,6 +10,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Count, Grid
 from cloudtomo_cl.scene.scene import NotNegative
 
@@ -46,6 +47,7 @@ class Stage:
     prior_weight: NotNegative = 1.0
 
 
+@renamed_arguments(method="solver: a GaussNewton, Adam or SGD", iterations="iterations of the solver")
 def automatic_stages(grid: Grid, solver: Any = None) -> tuple[Stage, ...]:
     """Stages that grow by a factor of about 1.8 from 6 voxels along the longest axis.
 
@@ -53,6 +55,8 @@ def automatic_stages(grid: Grid, solver: Any = None) -> tuple[Stage, ...]:
     its own. Images have about two pixels per voxel, up to all that were measured. How many iterations a stage
     has the solver says (`GaussNewton`, by default, needs few of them, descents many).
     """
+    if isinstance(solver, str):
+        raise DataError(f"automatic_stages: the solver is {solver!r}: give one, for instance Adam()")
     limits = getattr(solver, "stage_limits", _stage_limits)
     longest = max(grid.shape)
     count = max(0, round(np.log(longest / _COARSEST) / np.log(_GROWTH))) + 1

@@ -102,6 +102,7 @@ class StoredLaunch:
         self._pace.launch(kernel, pixels * self._samples, **self._arguments, **arguments)
 
 
+@renamed_attributes(field="on_device", kept_launches="stored_launches")
 class RadianceOperator:
     """Renders a scene's views, and differentiates them, by backward Monte Carlo.
 

@@ -19,6 +19,16 @@ def test_old_arguments_of_render(device, argument):
         operator.render(np.zeros(grid.shape), 2, **{argument: 1})
 
 
+def test_old_arguments_of_priors_and_stages():
+    with pytest.raises(DataError, match="the argument clear is now sparsity_scale"):
+        ct.Prior(clear=3.0)
+    grid = ct.Grid(shape=(8, 8, 8), spacing=(0.1, 0.1, 0.1))
+    with pytest.raises(DataError, match="the argument method is now solver: a GaussNewton, Adam or SGD"):
+        ct.automatic_stages(grid, method="adam")
+    with pytest.raises(DataError, match="the solver is 'adam': give one, for instance Adam"):
+        ct.automatic_stages(grid, "adam")
+
+
 def test_old_attributes():
     measurements = ct.Measurements((VIEW,), (IMAGE,), (IMAGE,))
     with pytest.raises(AttributeError, match="has no attribute 'bad_pixels': it is now invalid_pixels"):
