@@ -134,7 +134,7 @@ def test_numbers_that_differ_exit_with_1(computed, capsys):
         ("--data absent", "absent/i3rc: no such folder; --data must name"),
         ("--only nothing-like-it", "no case has this in its name"),
         ("--output table.txt", "must end in .csv or .md"),
-        ("--output absent/table.md", "choose another --output"),
+        ("--output absent/table.md", "make it first"),
         ("--device no-such-device", "no OpenCL device"),
     ],
 )
