@@ -1,19 +1,28 @@
 """The program `cloudtomo`, also as `python -m cloudtomo_cl`."""
 
+import atexit
+import os
 import signal
-import sys
 
 
-def main() -> int:
-    """Runs the command line; returns the exit status."""
+def main() -> None:
+    """Runs the command line, and ends the process with its exit status."""
     # Until it listens, Ctrl-C ends it as any program, without a traceback from among the imports.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     from cloudtomo_cl.commands import cli, streams
 
     streams.open_missing_descriptors()
-    return cli.main()
+    try:
+        status = cli.main()
+    except SystemExit as ended:  # of help, version, and options that are not understood
+        status = ended.code if isinstance(ended.code, int) else int(ended.code is not None)
+    # Not by way of the libraries' own endings: where a terminal or a pipe was closed, LLVM, which OpenCL drivers hold,
+    # aborts the process for a warning that it could not write there, and the exit status is lost.
+    atexit._run_exitfuncs()
+    streams.flush()
+    os._exit(status)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

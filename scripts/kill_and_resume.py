@@ -76,7 +76,7 @@ iterations = 8
 PROGRAM = (
     "import signal, sys; signal.signal(signal.SIGINT, signal.SIG_DFL); "
     "from cloudtomo_cl.commands import modelled; modelled.PATHS = modelled.FEWEST_SAMPLES = 16; "
-    "from cloudtomo_cl.__main__ import main; sys.exit(main())"
+    "from cloudtomo_cl.__main__ import main; main()"
 )
 COMMANDS = {
     "cloud": "cloud --generate cumulus --shape 6 6 6 --spacing 0.1 0.1 0.1 --output made_cloud.nc --overwrite",

@@ -98,3 +98,11 @@ def open_missing_descriptors() -> None:
         except OSError:
             # The lowest one that is free is this one.
             os.open(os.devnull, os.O_RDONLY if descriptor == 0 else os.O_WRONLY)
+
+
+def flush() -> None:
+    """Writes what is left of standard output and error, as far as anybody takes it."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            if stream is not None:
+                stream.flush()

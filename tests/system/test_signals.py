@@ -190,11 +190,27 @@ def test_a_pipe_that_closes_ends_quietly(folder):
 def test_a_run_without_output_is_whole(folder):
     """What it opens first does not take the place of standard output, into which libraries write."""
     code = "import sys; from cloudtomo_cl.commands import modelled; modelled.PATHS = modelled.FEWEST_SAMPLES = 16; "
-    code += "from cloudtomo_cl.__main__ import main; sys.exit(main())"
+    code += "from cloudtomo_cl.__main__ import main; main()"
     command = f"exec {sys.executable} -c '{code}' reconstruct run.toml --output run 1>&- 2>&-"
     assert subprocess.run(["sh", "-c", command], timeout=120).returncode == 0
     assert names(folder / "run") >= {"reconstruction.nc", "modelled.nc", "report.html", "history.csv", "files.json"}
     assert (folder / "run" / "history.csv").read_text().startswith("stage,stages")
+
+
+def test_a_library_that_could_not_write_does_not_decide_over_the_exit_status():
+    """As LLVM aborts in the end, when it could not write to a terminal."""
+    code = """
+import ctypes, os
+from cloudtomo_cl.__main__ import main
+libc = ctypes.CDLL(None)
+abort = ctypes.CFUNCTYPE(None)(libc.abort)
+libc.__cxa_atexit(abort, None, None)
+import sys
+sys.argv = ["cloudtomo", "--version"]
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and done.stdout.startswith("cloudtomo "), done.stderr
 
 
 @pytest.mark.parametrize("closed", ["1>&-", "2>&-"])
