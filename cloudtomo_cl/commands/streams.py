@@ -87,31 +87,6 @@ def forgiving(program: str) -> Iterator[None]:
             err.write(f"{program}: standard output could not be written ({out.lost.strerror}): the rest is lost\n")
         err.flush()
         sys.stdout, sys.stderr = before
-        let_go_of_lost_terminals()
-
-
-def let_go_of_lost_terminals() -> None:
-    """Puts nothing in the place of a terminal that has hung up: LLVM, which drivers hold, flushes standard output when
-    the program ends, and aborts it where that fails."""
-    for descriptor in (0, 1, 2):
-        if _is_lost(descriptor):
-            with suppress(OSError):
-                nowhere = os.open(os.devnull, os.O_RDWR)
-                os.dup2(nowhere, descriptor)
-                os.close(nowhere)
-
-
-def _is_lost(descriptor: int) -> bool:
-    """Whether it is a terminal that has hung up."""
-    try:
-        import termios
-    except ImportError:  # Windows
-        return False
-    try:
-        termios.tcgetattr(descriptor)
-    except termios.error as error:
-        return bool(error.args[0] == errno.EIO)
-    return False
 
 
 def open_missing_descriptors() -> None:
