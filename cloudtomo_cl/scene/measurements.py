@@ -10,6 +10,7 @@ import numpy as np
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.renamed import renamed_attributes
+from cloudtomo_cl.scene.arrays import filled
 from cloudtomo_cl.scene.grid import resample
 from cloudtomo_cl.scene.pixel_errors import pooled_standard_errors
 from cloudtomo_cl.scene.sensors import RayView, View
@@ -59,10 +60,7 @@ class Measurements:
     def __post_init__(self) -> None:
         for name in ("images", "standard_errors"):
             # A masked pixel is a bad one.
-            arrays = getattr(self, name)
-            if any(isinstance(array, np.ma.MaskedArray) for array in arrays):
-                plain = tuple(np.ma.filled(np.ma.asarray(array, np.float64), np.nan) for array in arrays)
-                object.__setattr__(self, name, plain)
+            object.__setattr__(self, name, tuple(map(filled, getattr(self, name))))
         if not self.views:
             raise DataError("measurements: there is no view: at least one image is needed")
         for name, arrays in (("images", self.images), ("standard_errors", self.standard_errors)):
