@@ -63,7 +63,7 @@ class ActivePixels:
     @cached_property
     def variance(self) -> np.ndarray:
         """Of the measured radiances' noise, also where it is unknown, shape (pixels,)."""
-        return variance_of(self.level, self.error)
+        return variance_of(self.level, self.standard_error)
 
     @property
     def unit(self) -> float:

@@ -15,7 +15,10 @@ from cloudtomo_cl.errors import DataError
 
 # Pixels each way that a path's variance is the mean over: those that touch tell a cloud from the ground beside it, the
 # wider ones have seen rare bright paths at 16 paths a pixel.
-_REACHES = (1, 3)
+_NEAR, _WIDE = 1, 3
+# Paths of a pixel up to which the wider ones count in full; with more, by so many over theirs. At 1024 paths those that
+# touch know all, and the wider ones would make errors 40 % too large, on average over a cloud's image.
+_FEW_PATHS = 64.0
 # Share of what a pixel's own paths say that its error is at least: where a rare bright path is the first of a dark
 # neighbourhood, nobody else knows of it. Shares of a third and more would make weights prefer what is dark by chance.
 _LEAST_SHARE = 0.2
@@ -25,8 +28,8 @@ _ROUNDING = 1e-9
 def pooled_standard_errors(standard_error: np.ndarray, samples: np.ndarray | float) -> np.ndarray:
     """Standard errors from the scatter of the paths of a pixel and of those around it in its image.
 
-    The larger of two means of a path's variance: over the pixels that touch it, and over those up to three away. Every
-    path counts the same, wherever there are more of them. The pixel's own paths are left out, so that its error has
+    The larger of two means of a path's variance: over the pixels that touch it, and, with few paths, over those up to
+    three away. Every path counts the same, wherever there are more of them. The pixel's own paths are left out, so that its error has
     nothing to do with its own noise, and weights do not prefer what is dark by chance; but it is no less than a fifth
     of what they say. In a single row or column of pixels they count, too, for rays of a list may have nothing to do
     with each other; otherwise rays are neighbours that are so in their image. A pixel alone has its own error.
@@ -61,12 +64,13 @@ def pooled_standard_errors(standard_error: np.ndarray, samples: np.ndarray | flo
     # Independent of the pixel's own paths; see above.
     left_out = min(own.shape) > 1
     largest = _LEAST_SHARE**2 * np.divide(scatter, weight, out=np.zeros(own.shape), where=there)
-    for reach in _REACHES:
+    few = np.minimum(1.0, _FEW_PATHS / np.where(there, paths, 1.0))
+    for reach, share in ((_NEAR, 1.0), (_WIDE, few)):
         around, paths_around = _sum_around(scatter, reach), _sum_around(weight, reach)
         others = left_out & (paths_around > weight * (1 + _ROUNDING))
         around = np.where(others, np.maximum(around - scatter, 0.0), around)
         paths_around = np.where(others, paths_around - weight, paths_around)
-        largest = np.maximum(largest, np.divide(around, paths_around, out=np.zeros(own.shape), where=there))
+        largest = np.maximum(largest, share * np.divide(around, paths_around, out=np.zeros(own.shape), where=there))
     return np.sqrt(np.divide(largest, paths, out=np.full(own.shape, np.nan), where=there))
 
 

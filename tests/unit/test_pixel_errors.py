@@ -98,11 +98,11 @@ def test_the_mean_is_that_over_the_other_pixels_of_a_window():
     random = np.random.default_rng(5)
     own, samples = random.random(SHAPE), random.integers(8, 99, SHAPE)
     row, column, means = 10, 0, []
-    for reach in (1, 3):
+    for reach, share in ((1, 1.0), (3, min(1.0, 64 / samples[row, column]))):
         window = np.s_[row - reach : row + reach + 1, 0 : reach + 1]
         scatter, paths = (own * samples)[window] ** 2, samples[window].copy()
         scatter[reach, 0], paths[reach, 0] = 0.0, 0
-        means.append(scatter.sum() / paths.sum())
+        means.append(share * scatter.sum() / paths.sum())
     expected = np.sqrt(max(means) / samples[row, column])
     assert pooled_standard_errors(own, samples)[row, column] == pytest.approx(expected)
 

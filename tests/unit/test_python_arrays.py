@@ -1,4 +1,4 @@
-"""Arrays with missing values, masked or NaN, given in Python: refused, or counted; never taken for what lies beneath."""
+"""Arrays with missing values, masked or NaN, in Python: refused or counted, never taken for what lies beneath."""
 
 import numpy as np
 import pytest
