@@ -29,10 +29,11 @@ def pooled_standard_errors(standard_error: np.ndarray, samples: np.ndarray | flo
     """Standard errors from the scatter of the paths of a pixel and of those around it in its image.
 
     The larger of two means of a path's variance: over the pixels that touch it, and, with few paths, over those up to
-    three away. Every path counts the same, wherever there are more of them. The pixel's own paths are left out, so that its error has
-    nothing to do with its own noise, and weights do not prefer what is dark by chance; but it is no less than a fifth
-    of what they say. In a single row or column of pixels they count, too, for rays of a list may have nothing to do
-    with each other; otherwise rays are neighbours that are so in their image. A pixel alone has its own error.
+    three away. Every path counts the same, wherever there are more of them. The pixel's own paths are left out, so
+    that its error has nothing to do with its own noise, and weights do not prefer what is dark by chance; but it is no
+    less than a fifth of what they say. In a single row or column of pixels they count, too, for rays of a list may
+    have nothing to do with each other; otherwise rays are neighbours that are so in their image. A pixel alone has its
+    own error.
 
     Parameters
     ----------
