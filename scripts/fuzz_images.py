@@ -20,7 +20,7 @@ import numpy as np
 from fuzz_netcdf import DEFAULT_FILL, Case, run_cases
 
 from cloudtomo_cl.errors import CloudtomoError
-from cloudtomo_cl.files.measurements import VIEW_FIELDS, read_measurements
+from cloudtomo_cl.files.measurements import OPTIONAL_VIEW_FIELDS, VIEW_FIELDS, read_measurements
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
 
@@ -191,7 +191,9 @@ class Writer(Case):
             values = np.where(np.isnan(values) & np.isfinite(errors), 0.123, values)
         if self.slips(0.1) and not flagged:
             place = tuple(rng.choice(np.argwhere(np.isfinite(values)).tolist()))
-            values[place] = rng.choice([-999.0, -9999.0, 1e20, -1.0, -99.0]) / RADIANCES[units]
+            # A mark of -1 in a small unit may as well be noise.
+            marks = [-999.0, -9999.9, 1e20, -99.0, *([-1.0] if RADIANCES[units] == 1.0 else [])]
+            values[place] = rng.choice(marks) / RADIANCES[units]
             self.spoil("an undeclared fill in a pixel")
         if self.slips(0.05):
             values[np.isnan(values) & np.isnan(errors)] = 0.0
@@ -236,7 +238,9 @@ class Writer(Case):
             attributes["scale_factor"] = rng.choice([1, 2, 0.5])
             stored = stored / attributes["scale_factor"]
         number = {"packed": "i4"}.get(kind, "f8")
-        told = ["_FillValue", "missing_value", "FillValue", "nodata", "default"] + ["nan", "valid_range"] * (kind == "f8")
+        told = ["_FillValue", "missing_value", "FillValue", "nodata", "default"]
+        # A valid range would tell of a mark that nothing else tells of.
+        told += ["nan", "valid_range"] * (kind == "f8" and "an undeclared fill in a pixel" not in self.told)
         how = rng.choice(told)
         fill = DEFAULT_FILL[number] if how == "default" else -9999 if number == "i4" else -9999.0
         if how == "nan":
@@ -245,7 +249,9 @@ class Writer(Case):
             attributes["valid_range"] = np.array([0.0, 100 * factor])
         elif how in ("missing_value", "FillValue", "nodata"):
             attributes[how] = np.array(fill, number)
-        stored = np.where(missing, fill, stored).astype(number)
+        stored = np.where(missing, fill, stored)
+        number = "f8" if not (np.abs(stored[~np.isnan(stored)]) < 2**31).all() else number
+        stored = stored.astype(number)
         self.variable(name, number, dims, stored, fill if how == "_FillValue" else False, **attributes)
 
     def flags(self, good: np.ndarray) -> None:
@@ -255,7 +261,10 @@ class Writer(Case):
         fill: Any = False
         what = rng.random()
         if what < 0.3:
-            attributes = {"flag_values": np.array([0, 1], "i1"), "flag_meanings": rng.choice(["bad good", "invalid valid"])}
+            attributes = {
+                "flag_values": np.array([0, 1], "i1"),
+                "flag_meanings": rng.choice(["bad good", "invalid valid"]),
+            }
         elif what < 0.5:
             fill = np.int8(0)
         elif what < 0.6 and self.careless:
@@ -273,7 +282,7 @@ class Writer(Case):
         rng = self.rng
         for name, (extra, unit, _) in VIEW_FIELDS.items():
             given = [getattr(view, name, None) for view in self.views]
-            if not any(value is not None for value in given) and (name in ("aspect", "start", "end", "along_track_angle")):
+            if name in OPTIONAL_VIEW_FIELDS and not any(value is not None for value in given):
                 continue
             nothing = (np.nan,) * 3 if extra else np.nan
             values = np.array([nothing if value is None else value for value in given], float)
@@ -296,14 +305,14 @@ class Writer(Case):
             self.spoil(f"{name} without units, in {units}")
         elif what < 0.09 and there:
             attributes = {"units": rng.choice(OTHER_UNITS[unit])}
-            if unit != "1":
+            if (attributes["units"], unit) != ("1", "1"):
                 self.spoil(f"{name} in {attributes['units']}")
         elif what < 0.12 and np.isfinite(values).any() and values.ndim == 2:
             index = int(np.argmax(np.isfinite(values).all(axis=1)))
             values = values.copy()
             values[index, 1] = np.nan
             self.spoil(f"{name} is missing in part")
-        if attributes.get("units") == "1":
+        if unit == "1" and attributes.get("units") == "1":
             attributes = rng.choice([{}, {"units": "1"}])
         stored, fill = values * factor, False
         if self.absent == "fill":
@@ -326,9 +335,8 @@ class Writer(Case):
         origins = np.concatenate([view.origins for view in lists])[:, self.letters]
         directions = np.concatenate([view.directions for view in lists])[:, self.letters]
         if self.slips(0.1):
-            origins, directions = self.rng.choice(
-                [(origins[:-1], directions[:-1]), (np.vstack([origins[:1], origins]), np.vstack([directions[:1], directions]))]
-            )
+            chosen = self.rng.choice([np.arange(len(origins) - 1), np.append(0, np.arange(len(origins)))])
+            origins, directions = origins[chosen], directions[chosen]
             self.spoil("another number of rays")
         self.file.createDimension("ray", len(origins))
         self.field("ray_origin", ("ray", "axis"), "km", origins)

@@ -281,7 +281,8 @@ class PushBroomView(AffineView):
 
     @model_validator(mode="after")
     def _check(self) -> PushBroomView:
-        if self.start[2] != self.end[2]:
+        # Heights that a file has in metres or feet differ by rounding.
+        if not np.isclose(self.start[2], self.end[2], rtol=1e-9, atol=0.0):
             raise ValueError(f"start is at {self.start[2]} km, end at {self.end[2]} km: the track must be level")
         if self.start[:2] == self.end[:2]:
             raise ValueError("start and end are the same point: move one of them")
