@@ -144,11 +144,10 @@ class Writer(Case):
             self.spoil("components have other names")
         elif self.letters == [0, 1, 2] and self.chance(0.3):
             return
-        letters = self.file.createVariable("axis", "S1", ("axis",)) if named[0] in "xyz" else None
-        if letters is not None:
-            letters[:] = np.array(named, "S1")
-        elif self.file.data_model.startswith("NETCDF4") and self.file.data_model != "NETCDF4_CLASSIC":
+        if self.file.data_model == "NETCDF4" and self.chance(0.5):
             self.file.createVariable("axis", str, ("axis",))[:] = np.array(named, object)
+        else:
+            self.file.createVariable("axis", "S1", ("axis",))[:] = np.array([name[0] for name in named], "S1")
 
     def sizes(self) -> None:
         kind = self.rng.choice(["i4", "f8", "i2"])
