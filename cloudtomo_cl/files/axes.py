@@ -30,8 +30,8 @@ _LARGEST_GUESSED_STEP, _HIGHEST_GUESSED = 0.5, 25.0
 _NAMES = {
     "x": r"n?x([tmcfhu]|\d+|_.*|dim|axis|coord.*|cent.*|pos)?|west_east|lon|longitude|rlon|easting|ni",
     "y": r"n?y([tmcfhv]|\d+|_.*|dim|axis|coord.*|cent.*|pos)?|south_north|lat|latitude|rlat|northing|nj",
-    "z": r"n?z([tmcfh]|[uw](_.*)?|\d+|_.*|dim|axis|coord.*|cent.*|pos)?|nk|height.*|altitude.*|alt|depth|plev|pressure|sigma|eta|"
-    r"(bottom_top|top_bottom)(_stag)?|i?lev(els?)?|level_.*|model_level.*|layers?",
+    "z": r"n?z([tmcfh]|[uw](_.*)?|\d+|_.*|dim|axis|coord.*|cent.*|pos)?|nk|height.*|altitude.*|alt|depth|"
+    r"plev|pressure|sigma|eta|(bottom_top|top_bottom)(_stag)?|i?lev(els?)?|level_.*|model_level.*|layers?",
     "t": r"time.*|t|xtime|record|nt|date.*|ntime.*|tstep|step",
 }
 # Vertical names that without units may as well be of anything else: numbers, pressures, sigma.

@@ -307,12 +307,14 @@ def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 @dataclass(frozen=True, config=ConfigDict(strict=True, extra="ignore"))
 class _StoredNumbers:
-    """What files keep of how they were made, beside the tables that have models of their own."""
+    """What files keep of how they were made, beside the tables that have models of their own.
+
+    `iteration` is the random numbers' stream: files keep the name that they have always had.
+    """
 
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     samples: Annotated[int, Field(ge=1, lt=2**31)] = 1
     iteration: Annotated[int, Field(ge=0, lt=2**32)] = 0
-    stream: Annotated[int, Field(ge=0, lt=2**32)] = 0
     target_error: Annotated[float, Field(gt=0, lt=10)] = 1.0
     photons: Annotated[float, Field(ge=1, le=1e15)] = 1.0
     cloud_file: str = ""

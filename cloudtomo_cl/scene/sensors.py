@@ -25,6 +25,8 @@ Pixels = tuple[Count, Count]
 # Positions have single precision in the kernels: at this distance, km, that is 8 m. Images of a cloud of 0.8 km in 24
 # pixels have the mean of an orthographic view to 0.1 % up to there, and single pixels to 5 %.
 FARTHEST = 1e5
+# Sine of the angle below the horizon from which on rays of an orthographic view can be taken up above the domain.
+_SHALLOW = 0.05
 
 
 def _require_near(name: str, position: Triple) -> None:
@@ -198,6 +200,8 @@ class OrthographicView(AffineView):
         if self.position is not None:
             if self.target is None:
                 raise ValueError("position needs a target")
+            if self._sight()[2] > -_SHALLOW:
+                _require_near("position", self.position)
         right, up = self._axes()
         if self.position is not None:
             lowest = self.position[2] - self.width / 2 * (abs(right[2]) + self._aspect * abs(up[2]))

@@ -183,9 +183,9 @@ def test_a_models_file_is_the_cloud_or_refused(tmp_path, case):
 
 TEXTS = {
     "pyshdom": ("# comment\n6 5 4\n0.05 0.05 0.02 0.06 0.1 0.14\n2 1 1 0.3 10\n2 1 2 0.6 10\n", None),
-    "AT3D": ("6,5,4 # nx,ny,nz\n0.05,0.05 # dx,dy\n0.02,0.06,0.1,0.14\nx,y,z,lwc,reff,veff\n2,1,1,0.3,10,.1\n2,1,2,.6,10,.1\n",
+    "AT3D": ("6,5,4 # nx,ny,nz\n.05,.05 # dx,dy\n.02,.06,.1,.14\nx,y,z,lwc,reff,veff\n2,1,1,.3,10,.1\n2,1,2,.6,10,.1\n",
              None),
-    "SHDOM": ("2 parameter LWC file\n6 5 4\n0.05 0.05\n0.02 0.06 0.1 0.14\n280 279 278 277\n3 2 2 0.3 10\n3 2 3 0.6 10\n",
+    "SHDOM": ("2 parameter LWC file\n6 5 4\n.05 .05\n.02 .06 .1 .14\n280 279 278 277\n3 2 2 .3 10\n3 2 3 .6 10\n",
               None),
     "Fortran": ("6 5 4\n5.0D-2 5.0D-2 2.0D-2 6.0D-2 1.0D-1 1.4D-1\n2 1 1 3.0D-1 1.0D+1\n2 1 2 6.0D-1 1.0D1\n", None),
     "semicolons": ("6;5;4\n0,05;0,05;0,02;0,06;0,1;0,14\n2;1;1;0,3;10\n2;1;2;0,6;10\n", None),
