@@ -58,6 +58,8 @@ VIEW_FIELDS: dict[str, tuple[tuple[str, ...], str, str]] = {
 # Of lengths and angles without units, the largest that are taken as km and the smallest as degrees: heights and
 # distances of kilometres, angles that in radians are no directions. What else they are, somebody must say.
 _LARGEST_GUESSED, _SMALLEST_GUESSED = 100.0, 2 * np.pi
+# Of radiances and errors without units, the largest typical error that is taken to be in the radiances' unit, in these.
+_LARGEST_GUESSED_ERROR = 2.0
 # Numbers that no key of a view has, by which programs mark that there is none.
 _MARKS = (-999.0, -999.9, -9999.0, -9999.9, -99999.0, -32767.0, -32768.0)
 # Only in files whose views have them.
@@ -250,6 +252,13 @@ def _require_units_of_both(path: Any, dataset: xr.Dataset) -> None:
         without, other = names[stated.index(False)], names[stated.index(True)]
         units = dataset[other].attrs["units"]
         raise DataError(f"{path}: {without} has no units, and {other} is in '{units}': set its attribute units")
+    values, errors = (np.abs(dataset[name].values.astype(np.float64)) for name in names)
+    known = np.isfinite(values) & np.isfinite(errors)
+    if not any(stated) and known.any() and np.median(errors[known]) > _LARGEST_GUESSED_ERROR * np.median(values[known]):
+        raise DataError(
+            f"{path}: radiance and radiance_standard_error have no units, and the errors are larger than the "
+            f"radiances: set their attributes units"
+        )
 
 
 def _valid(path: Any, flags: xr.DataArray) -> xr.DataArray:
@@ -285,14 +294,22 @@ def _refuse_unlikely(path: Any, radiance: np.ndarray, error: np.ndarray) -> None
         )
 
 
-def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
+def read_settings(path: str | os.PathLike[str], required: bool = True) -> dict[str, Any]:
     """The settings that were written with a file of measurements.
+
+    Parameters
+    ----------
+    path : of the file
+    required : whether a file without any, from elsewhere, is refused; otherwise it has an empty table
 
     Raises
     ------
     DataError : no such file, not netCDF; no attribute `settings`, or it is not a JSON table
+    SettingsError : a number in it cannot be
     """
     text = load_dataset(path).attrs.get("settings")
+    if text is None and not required:
+        return {}
     if text is None:
         raise DataError(f"{path}: no attribute settings: the file was written without them")
     try:
@@ -404,7 +421,10 @@ def _in_unit(path: Any, dataset: xr.Dataset, name: str, dims: tuple[str, ...], o
     variable = number_variable(path, dataset, name, dims)
     values = variable.values.astype(np.float64)
     factor, stated = factor_of(path, name, variable.attrs.get("units"), ours)
-    marks = (np.abs(values) >= _BEYOND_RADIANCES) | np.isin(values, _MARKS)
+    # One coordinate of a place may be -999 m; all three are not.
+    marks = np.isin(values, _MARKS)
+    marks = marks.all(axis=-1, keepdims=True) & marks if marks.ndim == 2 else marks
+    marks |= np.abs(values) >= _BEYOND_RADIANCES
     if marks.any():
         raise DataError(f"{path}: {name} has {values[marks][0]:g}: if that means missing, say so with _FillValue")
     if not stated and ours in ("km", "degree") and np.isfinite(values).any():
