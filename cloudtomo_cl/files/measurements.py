@@ -253,8 +253,9 @@ def _require_units_of_both(path: Any, dataset: xr.Dataset) -> None:
         units = dataset[other].attrs["units"]
         raise DataError(f"{path}: {without} has no units, and {other} is in '{units}': set its attribute units")
     values, errors = (np.abs(dataset[name].values.astype(np.float64)) for name in names)
-    known = np.isfinite(values) & np.isfinite(errors)
-    if not any(stated) and known.any() and np.median(errors[known]) > _LARGEST_GUESSED_ERROR * np.median(values[known]):
+    values, errors = values[np.isfinite(values)], errors[np.isfinite(errors)]
+    guessed = not any(stated) and values.size > 0 and errors.size > 0
+    if guessed and np.median(errors) > _LARGEST_GUESSED_ERROR * np.median(values):
         raise DataError(
             f"{path}: radiance and radiance_standard_error have no units, and the errors are larger than the "
             f"radiances: set their attributes units"
