@@ -38,6 +38,7 @@ from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Grid, resample_in_mask
 from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.metrics import epsilon
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.seeds import checked_seed
 
@@ -122,9 +123,9 @@ def reconstruct(
     DeviceError : the device failed or has not enough memory
     """
     device, prior, solver = device or choose_device(), prior or Prior(), solver or GaussNewton()
-    stages = stages_of(scene.grid, stages, solver)
     resumed = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
     check(scene, measurements, stages, prior, solver, mask=mask, device=device, seed=seed, truth=truth, resume=resumed)
+    stages = stages_of(scene.grid, stages, solver)
     if mask is None:
         mask = carved_mask(scene, measurements, device) if resumed is None else resumed.mask
     question = _Question(scene, measurements, prior, checked_mask(mask, scene.grid), device)
@@ -217,6 +218,8 @@ def check(
     checked_seed(seed)
     if truth is not None and np.shape(truth) != scene.grid.shape:
         raise DataError(f"truth has shape {np.shape(truth)}, the grid {scene.grid.shape}")
+    if truth is not None:
+        epsilon(np.zeros(scene.grid.shape), truth)  # which refuses what is missing
     if mask is None and resume is not None:
         mask = resume.mask
     if mask is not None:
