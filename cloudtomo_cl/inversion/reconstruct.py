@@ -13,7 +13,7 @@ import numpy as np
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, identity_of, read_checkpoint
-from cloudtomo_cl.inversion.priors import Prior, Regulariser
+from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser
 from cloudtomo_cl.inversion.problem import Problem, checked_mask
 from cloudtomo_cl.inversion.records import IterationRecord, Reconstruction
 from cloudtomo_cl.inversion.run import (
@@ -52,7 +52,7 @@ class _Question:
 
     scene: Scene
     measurements: Measurements
-    prior: Prior | Regulariser
+    prior: AnyPrior | Regulariser
     mask: np.ndarray
     device: Device
 
@@ -75,7 +75,7 @@ def reconstruct(
     scene: Scene,
     measurements: Measurements,
     stages: Sequence[Stage] | None = None,
-    prior: Prior | Regulariser | None = None,
+    prior: AnyPrior | Regulariser | None = None,
     solver: Solver | None = None,
     *,
     mask: np.ndarray | None = None,
@@ -97,7 +97,7 @@ def reconstruct(
     scene : what is known: grid, optics, sun, air, surface, boundary
     measurements : images and views
     stages : by default `automatic_stages` for the scene's grid and the solver
-    prior : by default `Prior()`; or an object of your own, see `Regulariser`
+    prior : by default `PatchPrior()`; or an object of your own, see `Regulariser`
     solver : by default `GaussNewton()`; or `Adam`, `SGD`, or an object of your own, see `Solver`
     mask : bool on the scene's grid, where cloud may be; by default what carving leaves (`carve`), or the checkpoint's
     time_limit : seconds after which the run ends with what it has, before an iteration that would take longer,
@@ -121,7 +121,7 @@ def reconstruct(
     TransportError : a radiance, a gradient or an extinction is not finite, or diverged
     DeviceError : the device failed or has not enough memory
     """
-    device, prior, solver = device or choose_device(), prior or Prior(), solver or GaussNewton()
+    device, prior, solver = device or choose_device(), prior or PatchPrior(), solver or GaussNewton()
     stages = stages_of(scene.grid, stages, solver)
     resumed = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
     check(scene, measurements, stages, prior, solver, mask=mask, device=device, seed=seed, truth=truth, resume=resumed)
@@ -195,7 +195,7 @@ def check(
     scene: Scene,
     measurements: Measurements,
     stages: Sequence[Stage] | None = None,
-    prior: Prior | Regulariser | None = None,
+    prior: AnyPrior | Regulariser | None = None,
     solver: Solver | None = None,
     *,
     mask: np.ndarray | None = None,
@@ -212,7 +212,7 @@ def check(
     ------
     DataError, DeviceError : as `reconstruct`
     """
-    prior, solver = prior or Prior(), solver or GaussNewton()
+    prior, solver = prior or PatchPrior(), solver or GaussNewton()
     stages = stages_of(scene.grid, stages, solver)
     checked_seed(seed)
     if truth is not None and np.shape(truth) != scene.grid.shape:

@@ -28,7 +28,7 @@ from pydantic.dataclasses import dataclass
 from cloudtomo_cl.errors import DataError, SettingsError
 from cloudtomo_cl.files.phase import read_phase_function
 from cloudtomo_cl.files.text import read_text
-from cloudtomo_cl.inversion.priors import Prior
+from cloudtomo_cl.inversion.priors import PatchPrior, PriorTable
 from cloudtomo_cl.inversion.solvers.choice import SolverTable
 from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.inversion.stages import Stage
@@ -220,7 +220,7 @@ class ReconstructSettings(BaseModel):
     boundary: Boundary | None = None
     view: ViewTables | None = None
     stage: Annotated[tuple[Stage, ...], Field(min_length=1)] | None = None
-    prior: Prior = Prior()
+    prior: PriorTable = PatchPrior()
     solver: SolverTable = GaussNewton()
     run: Run = Run()
 

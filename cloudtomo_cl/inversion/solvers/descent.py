@@ -122,7 +122,7 @@ class _Descent:
         image = state.image.with_halves(rendering.halves, window)
         if change is not None:
             image = image.moved(change, window)
-        prior, prior_gradient = problem.prior.value_and_gradient(
+        prior, prior_gradient = problem.prior.frozen(state.extinction, state.steps).value_and_gradient(
             state.extinction, problem.units(image.noise(problem.weights))
         )
         gradient = gradient + prior_gradient.astype(np.float32)

@@ -1,0 +1,132 @@
+"""The prior on what clouds look like in the small: every patch comes from a mixture of Gaussians."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from cloudtomo_cl.inversion.bound_prior import NoiseUnits
+from cloudtomo_cl.inversion.mixture import AT_ONCE, Mixture
+from cloudtomo_cl.inversion.patches import Patches
+
+# Noise of a stage's first step, and how it falls from step to step.
+_FIRST_NOISE, _NOISE_SHARE = 0.2, 0.7
+
+
+class BoundPatches:
+    """Minus the log likelihood of the patches of u = b / s, averaged over the patches that hold a voxel, s given.
+
+    R(u) = strength / values  sum_i min_k [ 1/2 (P_i u - m_k)^T (C_k + noise^2)^-1 (P_i u - m_k) + 1/2 log det - log w_k ]
+    less what a patch without cloud has, so that a clear sky costs nothing. Source: the expected patch log likelihood
+    (Zoran and Weiss 2011), each patch with its likeliest component, and their half-quadratic splitting's auxiliary
+    patches eliminated: min_z (x - z)^2 / (2 noise^2) + 1/2 (z - m)^T C^-1 (z - m) is the form above.
+
+    Parameters
+    ----------
+    patches : of the voxels
+    mixture : of patches of this size
+    strength : weight
+    noise : standard deviation that patches are known to, in units of s
+    """
+
+    def __init__(self, patches: Patches, mixture: Mixture, strength: float, noise: float) -> None:
+        self._patches, self._mixture = patches, mixture
+        self._weight, self._noise = strength / patches.values, noise
+
+    def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
+        return self._frozen(extinction, self._noise).value_and_gradient(extinction, units)
+
+    def frozen(self, extinction: np.ndarray, iteration: int) -> FrozenPatches:
+        """With the components that are the likeliest at this extinction, and the noise of this iteration."""
+        return self._frozen(extinction, max(_FIRST_NOISE * _NOISE_SHARE**iteration, self._noise))
+
+    def _frozen(self, extinction: np.ndarray, noise: float) -> FrozenPatches:
+        return FrozenPatches(self._patches, self._mixture, self._weight, noise, extinction)
+
+
+class FrozenPatches:
+    """`BoundPatches` with the components that patches have at one extinction: a quadratic function.
+
+    Parameters
+    ----------
+    patches, mixture : as of `BoundPatches`
+    weight : strength over a patch's values
+    noise : standard deviation in units of s
+    extinction : where components are chosen, in units of s, shape (voxels,)
+    """
+
+    def __init__(
+        self, patches: Patches, mixture: Mixture, weight: float, noise: float, extinction: np.ndarray
+    ) -> None:
+        self._patches, self._weight = patches, weight
+        padded = patches.padded(extinction)
+        cloudy = _cloudy(patches, padded)
+        components = np.zeros(len(patches), np.int32)
+        for part in _parts(cloudy):
+            components[part] = mixture.likeliest(patches.gather(padded, part), noise)
+        order = np.argsort(components, kind="stable")
+        bounds = np.searchsorted(components[order], np.arange(len(mixture) + 1))
+        self._of_component = [order[first:last] for first, last in zip(bounds, bounds[1:])]
+        self._means = mixture.means.astype(np.float32)
+        precisions = mixture.precisions(noise)
+        self._precisions = precisions.astype(np.float32)
+        constants = mixture.constants(noise)
+        self._constant = float(sum(len(own) * (c - constants[0]) for own, c in zip(self._of_component, constants)))
+        # Patches without cloud have the mean 0 and independent values: what they add is diagonal.
+        counts = patches.zeros()
+        patches.add(counts, self._of_component[0], np.ones((1, 1)))
+        self._clear = patches.on_voxels(counts) * precisions[0, 0, 0]
+        diagonal = patches.zeros()
+        for component in range(1, len(mixture)):
+            patches.add(diagonal, self._of_component[component], np.diag(precisions[component])[None])
+        self._diagonal = self._clear + patches.on_voxels(diagonal)
+
+    def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
+        padded, sums = self._patches.padded(extinction), self._patches.zeros()
+        value = self._constant + 0.5 * float(self._clear @ np.square(extinction))
+        for component, part in self._cloudy_parts():
+            away = self._patches.gather(padded, part) - self._means[component]
+            slope = away @ self._precisions[component]
+            value += 0.5 * float(np.sum(away * slope, dtype=np.float64))
+            self._patches.add(sums, part, slope)
+        gradient = self._clear * extinction + self._patches.on_voxels(sums)
+        factor = units.weighted * self._weight
+        return factor * value, factor * gradient
+
+    def curvature(self, extinction: np.ndarray, units: NoiseUnits) -> np.ndarray:
+        return units.weighted * self._weight * self._diagonal
+
+    def stiffness(self, columns: np.ndarray, units: NoiseUnits) -> np.ndarray:
+        return np.column_stack([self._times(column) for column in columns.T]) * (units.weighted * self._weight)
+
+    def perturbation(self, random: np.random.Generator, units: NoiseUnits) -> np.ndarray:
+        sums = self._patches.zeros()
+        for component, part in self._cloudy_parts():
+            root = np.linalg.cholesky(self._precisions[component].astype(float))
+            self._patches.add(sums, part, random.standard_normal((len(part), len(root))) @ root.T)
+        of_clear = np.sqrt(self._clear) * random.standard_normal(len(self._clear))
+        return np.sqrt(units.weighted * self._weight * units.both) * (of_clear + self._patches.on_voxels(sums))
+
+    def _times(self, change: np.ndarray) -> np.ndarray:
+        padded, sums = self._patches.padded(change), self._patches.zeros()
+        for component, part in self._cloudy_parts():
+            self._patches.add(sums, part, self._patches.gather(padded, part) @ self._precisions[component])
+        return self._clear * change + self._patches.on_voxels(sums)
+
+    def _cloudy_parts(self) -> Iterator[tuple[int, np.ndarray]]:
+        """Components but the first, and so many of their patches as are worked on at a time."""
+        for component, own in enumerate(self._of_component[1:], 1):
+            for part in _parts(own):
+                yield component, part
+
+
+def _cloudy(patches: Patches, padded: np.ndarray) -> np.ndarray:
+    """The patches with cloud in them."""
+    filled = [patches.gather(padded, part).any(axis=1) for part in _parts(np.arange(len(patches)))]
+    return np.flatnonzero(np.concatenate(filled))
+
+
+def _parts(chosen: np.ndarray) -> Iterator[np.ndarray]:
+    for first in range(0, len(chosen), AT_ONCE):
+        yield chosen[first : first + AT_ONCE]
