@@ -154,5 +154,6 @@ def _of_arrays(
     for weight, mean, triangle in zip(weights, means, covariances):
         covariance = np.zeros((len(weight), values, values))
         covariance[:, rows, columns] = covariance[:, columns, rows] = triangle
-        mixtures.append(Mixture((voxels[0], voxels[1], voxels[2]), weight.astype(float), mean.astype(float), covariance))
+        shape = voxels[0], voxels[1], voxels[2]
+        mixtures.append(Mixture(shape, weight.astype(float), mean.astype(float), covariance))
     return MixtureFile(tuple(float(aspect) for aspect in aspects), tuple(mixtures))

@@ -17,8 +17,8 @@ _FIRST_NOISE, _NOISE_SHARE = 0.2, 0.7
 class BoundPatches:
     """Minus the log likelihood of the patches of u = b / s, averaged over the patches that hold a voxel, s given.
 
-    R(u) = strength / values  sum_i min_k [ 1/2 (P_i u - m_k)^T (C_k + noise^2)^-1 (P_i u - m_k) + 1/2 log det - log w_k ]
-    less what a patch without cloud has, so that a clear sky costs nothing. Source: the expected patch log likelihood
+    R(u) = strength / values sum_i min_k [ 1/2 (P_i u - m_k)^T S_k (P_i u - m_k) - 1/2 log det S_k - log w_k ]
+    with S_k = (C_k + noise^2)^-1, less what a patch without cloud has, so that a clear sky costs nothing. Source: the expected patch log likelihood
     (Zoran and Weiss 2011), each patch with its likeliest component, and their half-quadratic splitting's auxiliary
     patches eliminated: min_z (x - z)^2 / (2 noise^2) + 1/2 (z - m)^T C^-1 (z - m) is the form above.
 
