@@ -12,15 +12,19 @@ from cloudtomo_cl.inversion.patches import Patches
 
 # Noise of a stage's first step, and how it falls from step to step.
 _FIRST_NOISE, _NOISE_SHARE = 0.2, 0.7
+# Share of the prior's pull on a cloud's mass that a step takes back, and the extinction, in units of s, at which a
+# voxel takes half of its part in that (docs/decisions/patch-prior.md).
+_RETURNED, _HALF_PRESENT = 0.6, 0.1
 
 
 class BoundPatches:
     """Minus the log likelihood of the patches of u = b / s, averaged over the patches that hold a voxel, s given.
 
     R(u) = strength / values sum_i min_k [ 1/2 (P_i u - m_k)^T S_k (P_i u - m_k) - 1/2 log det S_k - log w_k ]
-    with S_k = (C_k + noise^2)^-1, less what a patch without cloud has, so that a clear sky costs nothing. Source: the expected patch log likelihood
-    (Zoran and Weiss 2011), each patch with its likeliest component, and their half-quadratic splitting's auxiliary
-    patches eliminated: min_z (x - z)^2 / (2 noise^2) + 1/2 (z - m)^T C^-1 (z - m) is the form above.
+    with S_k = (C_k + noise^2)^-1, less what a patch without cloud has, so that a clear sky costs nothing. Source: the
+    expected patch log likelihood (Zoran and Weiss 2011), each patch with its likeliest component, and their
+    half-quadratic splitting's auxiliary patches eliminated: min_z (x - z)^2 / (2 noise^2) + 1/2 (z - m)^T C^-1 (z - m)
+    is the form above.
 
     Parameters
     ----------
@@ -38,8 +42,15 @@ class BoundPatches:
         return self._frozen(extinction, self._noise).value_and_gradient(extinction, units)
 
     def frozen(self, extinction: np.ndarray, iteration: int) -> FrozenPatches:
-        """With the components that are the likeliest at this extinction, and the noise of this iteration."""
-        return self._frozen(extinction, max(_FIRST_NOISE * _NOISE_SHARE**iteration, self._noise))
+        """With the components that are the likeliest at this extinction, and the noise of this iteration.
+
+        The most likely cloud is thinner than likely ones: as many Gaussians as there are patches all pull towards
+        their means. A step takes a share of that pull on the cloud's mass back, by a constant slope where there is
+        cloud.
+        """
+        step = self._frozen(extinction, max(_FIRST_NOISE * _NOISE_SHARE**iteration, self._noise))
+        step.give_back(extinction, _RETURNED)
+        return step
 
     def _frozen(self, extinction: np.ndarray, noise: float) -> FrozenPatches:
         return FrozenPatches(self._patches, self._mixture, self._weight, noise, extinction)
@@ -56,9 +67,7 @@ class FrozenPatches:
     extinction : where components are chosen, in units of s, shape (voxels,)
     """
 
-    def __init__(
-        self, patches: Patches, mixture: Mixture, weight: float, noise: float, extinction: np.ndarray
-    ) -> None:
+    def __init__(self, patches: Patches, mixture: Mixture, weight: float, noise: float, extinction: np.ndarray) -> None:
         self._patches, self._weight = patches, weight
         padded = patches.padded(extinction)
         cloudy = _cloudy(patches, padded)
@@ -81,8 +90,23 @@ class FrozenPatches:
         for component in range(1, len(mixture)):
             patches.add(diagonal, self._of_component[component], np.diag(precisions[component])[None])
         self._diagonal = self._clear + patches.on_voxels(diagonal)
+        self._slope, self._slope_start = np.zeros(len(extinction)), extinction
+
+    def give_back(self, extinction: np.ndarray, share: float) -> None:
+        """Adds a slope where there is cloud, so that this share of the slope along the extinction itself is gone."""
+        presence = extinction / (extinction + _HALF_PRESENT)
+        along = float(presence @ extinction)
+        if along > 0:
+            pull = float(self._quadratic(extinction)[1] @ extinction)
+            self._slope, self._slope_start = -share * pull / along * presence, extinction
 
     def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
+        value, gradient = self._quadratic(extinction)
+        value += float(self._slope @ (extinction - self._slope_start))
+        factor = units.weighted * self._weight
+        return factor * value, factor * (gradient + self._slope)
+
+    def _quadratic(self, extinction: np.ndarray) -> tuple[float, np.ndarray]:
         padded, sums = self._patches.padded(extinction), self._patches.zeros()
         value = self._constant + 0.5 * float(self._clear @ np.square(extinction))
         for component, part in self._cloudy_parts():
@@ -90,9 +114,7 @@ class FrozenPatches:
             slope = away @ self._precisions[component]
             value += 0.5 * float(np.sum(away * slope, dtype=np.float64))
             self._patches.add(sums, part, slope)
-        gradient = self._clear * extinction + self._patches.on_voxels(sums)
-        factor = units.weighted * self._weight
-        return factor * value, factor * gradient
+        return value, self._clear * extinction + self._patches.on_voxels(sums)
 
     def curvature(self, extinction: np.ndarray, units: NoiseUnits) -> np.ndarray:
         return units.weighted * self._weight * self._diagonal

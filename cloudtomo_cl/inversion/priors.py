@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
-from pydantic import BeforeValidator, ConfigDict, Field
+from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.errors import DataError
@@ -98,16 +98,7 @@ class Prior:
 Prior.__init__ = renamed_arguments(clear="sparsity_scale")(Prior.__init__)  # type: ignore[method-assign]
 
 
-def _with_type(table: Any) -> Any:
-    """A table without a type is of the default prior."""
-    if isinstance(table, dict) and "type" not in table:
-        return {"type": "patches", **table}
-    return table
-
-
 AnyPrior = PatchPrior | Prior
-# As a table of the settings.
-PriorTable = Annotated[Annotated[AnyPrior, Field(discriminator="type")], BeforeValidator(_with_type)]
 
 
 @runtime_checkable

@@ -42,8 +42,8 @@ from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.seeds import checked_seed
 
 _LOGGER = logging.getLogger(__name__)
-# Where a solver does not say: inside the mask before the first stage, km^-1.
-_START = 2.0
+# Where a solver does not say: optical depth of what a recovery starts from, along a mean chord of the mask's box.
+_START_DEPTH = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +155,7 @@ def _iterated(
     seed: int,
 ) -> tuple[Problem, Any]:
     """All stages, from where the run stands; returns the last problem, and the state that it ended with."""
-    estimate = np.full(run.stages[0].grid, getattr(solver, "start", _START))
+    estimate = np.full(run.stages[0].grid, _start(solver, question.scene.grid, question.mask))
     while True:
         stage = run.stages[run.stage]
         _LOGGER.info("stage %d of %d: building its kernels", run.stage + 1, len(run.stages))
@@ -178,6 +178,17 @@ def _iterated(
             return problem, state
         estimate = problem.on_grid(state.estimate)
         run.stage, run.iteration = run.stage + 1, 0
+
+
+def _start(solver: Any, grid: Grid, mask: np.ndarray) -> float:
+    """The extinction inside the mask before the first stage, km^-1: the solver's, or by the size of the mask."""
+    given = getattr(solver, "start", None)
+    if given is not None:
+        return float(given)
+    voxels = np.argwhere(mask)
+    x, y, z = (voxels.max(axis=0) - voxels.min(axis=0) + 1) * grid.spacing
+    mean_chord = 4 * x * y * z / (2 * (x * y + y * z + z * x))  # of a convex body, 4 volume / surface
+    return float(_START_DEPTH / mean_chord)
 
 
 def _is_over(run: Run, rules: Sequence[StoppingRule]) -> bool:
@@ -231,7 +242,7 @@ def _check_start(grid: Grid, stages: Sequence[Stage], solver: Any) -> None:
     """DataError if the first render would be of something that light never leaves."""
     edge = max(max(grid.with_shape(stage.grid).spacing) for stage in stages)
     for name in ("start", "floor"):
-        value = getattr(solver, name, 0.0)
+        value = getattr(solver, name, None) or 0.0
         if not value * edge < LARGEST_VOXEL_DEPTH:
             raise DataError(
                 f"solver.{name} is {value:g} km^-1, an optical depth of {value * edge:.3g} across a voxel of "

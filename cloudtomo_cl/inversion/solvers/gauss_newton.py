@@ -82,7 +82,8 @@ class GaussNewton:
     ----------
     iterations : on the finest of the automatic stages, at most; by default 30. A run that has done them goes on with
         more by `--resume`, unless its cost has settled
-    start : extinction inside the mask before the first stage, km^-1
+    start : extinction inside the mask before the first stage, km^-1; by default an optical depth of 1 along a mean
+        chord of the box around the mask
     image_samples : paths for the images, times those for the derivatives
     damping : of the first steps, in shares of the data term's own curvature; it halves from step to step, down to
         a tenth
@@ -91,7 +92,7 @@ class GaussNewton:
 
     type: Literal["gauss-newton"] = "gauss-newton"
     iterations: Count | None = None
-    start: Positive = 2.0
+    start: Positive | None = None
     image_samples: Annotated[int, Field(ge=0)] = 5
     damping: NotNegative = 0.1
     inner_iterations: Count = 40
