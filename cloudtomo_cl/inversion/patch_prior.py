@@ -74,22 +74,24 @@ class FrozenPatches:
         components = np.zeros(len(patches), np.int32)
         for part in _parts(cloudy):
             components[part] = mixture.likeliest(patches.gather(padded, part), noise)
+        # Patches in the order of their components; those without cloud, of the first one, apart.
         order = np.argsort(components, kind="stable")
-        bounds = np.searchsorted(components[order], np.arange(len(mixture) + 1))
-        self._of_component = [order[first:last] for first, last in zip(bounds, bounds[1:])]
+        counts = np.bincount(components, minlength=len(mixture))
+        clear, self._cloudy = order[: counts[0]], order[counts[0] :]
+        self._components = components[self._cloudy]
         self._means = mixture.means.astype(np.float32)
         precisions = mixture.precisions(noise)
         self._precisions = precisions.astype(np.float32)
         constants = mixture.constants(noise)
-        self._constant = float(sum(len(own) * (c - constants[0]) for own, c in zip(self._of_component, constants)))
+        self._constant = float(counts @ (constants - constants[0]))
         # Patches without cloud have the mean 0 and independent values: what they add is diagonal.
-        counts = patches.zeros()
-        patches.add(counts, self._of_component[0], np.ones((1, 1)))
-        self._clear = patches.on_voxels(counts) * precisions[0, 0, 0]
-        diagonal = patches.zeros()
-        for component in range(1, len(mixture)):
-            patches.add(diagonal, self._of_component[component], np.diag(precisions[component])[None])
-        self._diagonal = self._clear + patches.on_voxels(diagonal)
+        sums = patches.zeros()
+        patches.add(sums, clear, np.ones((1, 1)))
+        self._clear = patches.on_voxels(sums) * precisions[0, 0, 0]
+        sums, diagonals = patches.zeros(), np.diagonal(precisions, axis1=1, axis2=2)
+        for part, slices in self._parts_by_component():
+            patches.add(sums, part, np.concatenate([np.tile(diagonals[k], (s.stop - s.start, 1)) for k, s in slices]))
+        self._diagonal = self._clear + patches.on_voxels(sums)
         self._slope, self._slope_start = np.zeros(len(extinction)), extinction
 
     def give_back(self, extinction: np.ndarray, share: float) -> None:
@@ -109,9 +111,12 @@ class FrozenPatches:
     def _quadratic(self, extinction: np.ndarray) -> tuple[float, np.ndarray]:
         padded, sums = self._patches.padded(extinction), self._patches.zeros()
         value = self._constant + 0.5 * float(self._clear @ np.square(extinction))
-        for component, part in self._cloudy_parts():
-            away = self._patches.gather(padded, part) - self._means[component]
-            slope = away @ self._precisions[component]
+        for part, slices in self._parts_by_component():
+            away = self._patches.gather(padded, part)
+            slope = np.empty_like(away)
+            for component, own in slices:
+                away[own] -= self._means[component]
+                slope[own] = away[own] @ self._precisions[component]
             value += 0.5 * float(np.sum(away * slope, dtype=np.float64))
             self._patches.add(sums, part, slope)
         return value, self._clear * extinction + self._patches.on_voxels(sums)
@@ -124,23 +129,31 @@ class FrozenPatches:
 
     def perturbation(self, random: np.random.Generator, units: NoiseUnits) -> np.ndarray:
         sums = self._patches.zeros()
-        for component, part in self._cloudy_parts():
-            root = np.linalg.cholesky(self._precisions[component].astype(float))
-            self._patches.add(sums, part, random.standard_normal((len(part), len(root))) @ root.T)
+        for part, slices in self._parts_by_component():
+            draws = random.standard_normal((len(part), self._patches.values))
+            for component, own in slices:
+                draws[own] = draws[own] @ np.linalg.cholesky(self._precisions[component].astype(float)).T
+            self._patches.add(sums, part, draws)
         of_clear = np.sqrt(self._clear) * random.standard_normal(len(self._clear))
         return np.sqrt(units.weighted * self._weight * units.both) * (of_clear + self._patches.on_voxels(sums))
 
     def _times(self, change: np.ndarray) -> np.ndarray:
         padded, sums = self._patches.padded(change), self._patches.zeros()
-        for component, part in self._cloudy_parts():
-            self._patches.add(sums, part, self._patches.gather(padded, part) @ self._precisions[component])
+        for part, slices in self._parts_by_component():
+            values = self._patches.gather(padded, part)
+            for component, own in slices:
+                values[own] = values[own] @ self._precisions[component]
+            self._patches.add(sums, part, values)
         return self._clear * change + self._patches.on_voxels(sums)
 
-    def _cloudy_parts(self) -> Iterator[tuple[int, np.ndarray]]:
-        """Components but the first, and so many of their patches as are worked on at a time."""
-        for component, own in enumerate(self._of_component[1:], 1):
-            for part in _parts(own):
-                yield component, part
+    def _parts_by_component(self) -> Iterator[tuple[np.ndarray, list[tuple[int, slice]]]]:
+        """So many patches as are worked on at a time, and which of them each component has."""
+        for first in range(0, len(self._cloudy), AT_ONCE):
+            components = self._components[first : first + AT_ONCE]
+            numbers = np.unique(components)
+            starts, stops = (np.searchsorted(components, numbers, side) for side in ("left", "right"))
+            slices = [(int(k), slice(int(a), int(b))) for k, a, b in zip(numbers, starts, stops)]
+            yield self._cloudy[first : first + AT_ONCE], slices
 
 
 def _cloudy(patches: Patches, padded: np.ndarray) -> np.ndarray:

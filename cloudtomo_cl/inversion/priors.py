@@ -49,7 +49,7 @@ class PatchPrior:
     """
 
     type: Literal["patches"] = "patches"
-    strength: NotNegative = 1.0
+    strength: NotNegative = 0.5
     noise: Positive = 0.03
     file: Path | None = None
 
