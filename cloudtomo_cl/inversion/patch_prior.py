@@ -15,6 +15,8 @@ _FIRST_NOISE, _NOISE_SHARE = 0.2, 0.7
 # Share of the prior's pull on a cloud's mass that a step takes back, and the extinction, in units of s, at which a
 # voxel takes half of its part in that (docs/decisions/patch-prior.md).
 _RETURNED, _HALF_PRESENT = 0.6, 0.1
+# Of a cloud of so many voxels a step's patches count half: those that were learnt from are of more.
+_FEW_VOXELS = 200.0
 
 
 class BoundPatches:
@@ -39,21 +41,30 @@ class BoundPatches:
         self._weight, self._noise = strength / patches.values, noise
 
     def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
-        return self._frozen(extinction, self._noise).value_and_gradient(extinction, units)
+        step = FrozenPatches(self._patches, self._mixture, self._weight, self._noise, extinction)
+        return step.value_and_gradient(extinction, units)
 
     def frozen(self, extinction: np.ndarray, iteration: int) -> FrozenPatches:
         """With the components that are the likeliest at this extinction, and the noise of this iteration.
+
+        Patches of a cloud of few voxels, as on the grids of the first stages, are rougher than those of most clouds
+        that were learnt from: they count less.
 
         The most likely cloud is thinner than likely ones: as many Gaussians as there are patches all pull towards
         their means. A step takes a share of that pull on the cloud's mass back, by a constant slope where there is
         cloud.
         """
-        step = self._frozen(extinction, max(_FIRST_NOISE * _NOISE_SHARE**iteration, self._noise))
+        noise = max(_FIRST_NOISE * _NOISE_SHARE**iteration, self._noise)
+        share = voxels_of_cloud(extinction) / (voxels_of_cloud(extinction) + _FEW_VOXELS)
+        step = FrozenPatches(self._patches, self._mixture, share * self._weight, noise, extinction)
         step.give_back(extinction, _RETURNED)
         return step
 
-    def _frozen(self, extinction: np.ndarray, noise: float) -> FrozenPatches:
-        return FrozenPatches(self._patches, self._mixture, self._weight, noise, extinction)
+
+def voxels_of_cloud(extinction: np.ndarray) -> float:
+    """(sum b)^2 / sum b^2: how many voxels a cloud has, if they all were alike; 0 of none."""
+    squares = float(np.sum(np.square(extinction)))
+    return float(np.sum(extinction)) ** 2 / squares if squares > 0 else 0.0
 
 
 class FrozenPatches:

@@ -42,14 +42,15 @@ class PatchPrior:
 
     Attributes
     ----------
-    strength : weight of minus the log likelihood of patches, averaged over the patches that hold a voxel
+    strength : weight of minus the log likelihood of patches, averaged over the patches that hold a voxel; it is half of
+        that in the steps for a cloud of 200 voxels, and less for one of fewer
     noise : standard deviation to which patches are known, in units of s; a stage begins with 0.2
     file : mixtures that scripts/learn_prior.py made; by default those that come with the package, learnt from
         generated clouds
     """
 
     type: Literal["patches"] = "patches"
-    strength: NotNegative = 0.5
+    strength: NotNegative = 1.0
     noise: Positive = 0.03
     file: Path | None = None
 
@@ -80,7 +81,7 @@ class Prior:
     sparsity : 1 for the criterion above, 0 for none
     sparsity_scale : b0, km^-1, the extinction at which half of the cost is due
     reference : km^-1, the mean extinction s = sum b^2 / sum b of the cloud that the other numbers are said for: those
-        of another cloud follow its own mean extinction. 0: they hold as they stand, for every cloud
+        of another cloud follow its own mean extinction (scene C has 46). 0: they hold as they stand, for every cloud
     """
 
     type: Literal["smoothness"] = "smoothness"
@@ -92,7 +93,7 @@ class Prior:
     threshold: Annotated[float, Field(ge=0)] = 0.01
     sparsity: NotNegative = 1.0
     sparsity_scale: Positive = 3.0
-    reference: NotNegative = 46.0
+    reference: NotNegative = 0.0
 
 
 Prior.__init__ = renamed_arguments(clear="sparsity_scale")(Prior.__init__)  # type: ignore[method-assign]

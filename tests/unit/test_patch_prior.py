@@ -7,7 +7,7 @@ import cloudtomo_cl as ct
 from cloudtomo_cl.inversion.bound_prior import NoiseUnits
 from cloudtomo_cl.inversion.mixture import Mixture, MixtureFile, read_mixtures
 from cloudtomo_cl.inversion.mixture_fit import cloudy_patches, fitted_mixture
-from cloudtomo_cl.inversion.patch_prior import BoundPatches
+from cloudtomo_cl.inversion.patch_prior import BoundPatches, voxels_of_cloud
 from cloudtomo_cl.inversion.patches import Patches
 from cloudtomo_cl.inversion.priors import PatchPrior, Prior, bound_prior
 from cloudtomo_cl.inversion.relative_prior import RelativePrior, mean_extinction
@@ -90,11 +90,17 @@ def test_the_gradient_is_that_of_the_value(voxels, mixture, cloud, random, of):
     assert used.value_and_gradient(cloud, UNITS)[1] @ direction == pytest.approx(quotient, rel=2e-3)
 
 
-def test_a_step_begins_at_the_functions_value_when_the_noise_has_fallen(voxels, mixture, cloud):
+def test_a_step_begins_at_a_share_of_the_functions_value_when_the_noise_has_fallen(voxels, mixture, cloud):
     prior = RelativePrior(bound(voxels, mixture), 1.0)
+    share = voxels_of_cloud(cloud) / (voxels_of_cloud(cloud) + 200)
     assert prior.frozen(cloud, 99).value_and_gradient(cloud, UNITS)[0] == pytest.approx(
-        prior.value_and_gradient(cloud, UNITS)[0]
+        share * prior.value_and_gradient(cloud, UNITS)[0]
     )
+
+
+def test_a_cloud_of_equal_voxels_has_as_many():
+    assert voxels_of_cloud(np.repeat([0.0, 7.0], [5, 9])) == pytest.approx(9)
+    assert voxels_of_cloud(np.zeros(4)) == 0
 
 
 def test_the_steps_stiffness_is_the_second_derivative_of_its_value(voxels, mixture, cloud, random):
@@ -114,7 +120,9 @@ def test_perturbations_have_the_stiffness_as_covariance(voxels, mixture, cloud):
     assert np.var(draws) == pytest.approx(expected, rel=0.13)
 
 
-@pytest.mark.parametrize("prior", [PatchPrior(), Prior(monotonicity=1.0)], ids=["patches", "smoothness"])
+@pytest.mark.parametrize(
+    "prior", [PatchPrior(), Prior(monotonicity=1.0, reference=46.0)], ids=["patches", "smoothness"]
+)
 @pytest.mark.parametrize("factor", [0.2, 5.0])
 def test_a_cloud_and_a_brighter_one_of_its_shape_are_as_likely(voxels, cloud, device, prior, factor):
     own = bound_prior(prior, voxels, device)
@@ -124,7 +132,9 @@ def test_a_cloud_and_a_brighter_one_of_its_shape_are_as_likely(voxels, cloud, de
     np.testing.assert_allclose(factor * scaled, gradient, rtol=1e-3, atol=1e-4 * np.abs(gradient).max())
 
 
-@pytest.mark.parametrize("prior", [PatchPrior(), Prior(monotonicity=1.0)], ids=["patches", "smoothness"])
+@pytest.mark.parametrize(
+    "prior", [PatchPrior(), Prior(monotonicity=1.0, reference=46.0)], ids=["patches", "smoothness"]
+)
 def test_a_step_from_a_brighter_cloud_of_the_same_shape_is_as_stiff_for_its_brightness(voxels, cloud, device, prior):
     own, change = bound_prior(prior, voxels, device), np.ones((len(voxels), 1))
     stiffness, scaled = (own.frozen(by * cloud, 5).stiffness(change, UNITS) for by in (1.0, 5.0))
