@@ -15,7 +15,7 @@ from .files.measurements import (
 from .files.phase import read_droplet_table, read_phase_function, write_phase_function
 from .inversion.carving import carve
 from .inversion.linear_model import LinearModel
-from .inversion.priors import Prior, Regulariser
+from .inversion.priors import PatchPrior, Prior, Regulariser
 from .inversion.problem import Problem
 from .inversion.reconstruct import reconstruct
 from .inversion.records import IterationRecord, Reconstruction
@@ -65,6 +65,7 @@ __all__ = [
     "Measurements",
     "Noise",
     "OrthographicView",
+    "PatchPrior",
     "PerspectiveView",
     "Prior",
     "Problem",

@@ -170,7 +170,7 @@ def main() -> int:
     (output / "run.toml").write_text(tables)
     priors: list[tuple[str, list[str]]] = [("", [])]
     if arguments.monotonicity is not None:
-        priors.append(("monotonicity-", [f"prior.monotonicity={arguments.monotonicity}"]))
+        priors.append(("monotonicity-", ["prior.type=smoothness", f"prior.monotonicity={arguments.monotonicity}"]))
     for seed in arguments.seeds:
         for name, overrides in priors:
             folder = output / f"{name}seed-{seed}"

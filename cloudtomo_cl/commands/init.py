@@ -155,7 +155,7 @@ def scene_file(cloud: Path | None, folder: Path) -> str:
 
 def run_file(measurements: Path, truth: Path | None, folder: Path) -> str:
     """The text of a run file in a folder."""
-    from cloudtomo_cl.inversion.priors import Prior
+    from cloudtomo_cl.inversion.priors import PatchPrior
     from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
     from cloudtomo_cl.inversion.stages import Stage
     from cloudtomo_cl.settings.tables import Run
@@ -166,7 +166,7 @@ def run_file(measurements: Path, truth: Path | None, folder: Path) -> str:
     else:
         shown = known + _relative(truth, folder)
     text = _aligned(_RUN.format(measurements=_relative(measurements, folder), truth=shown))
-    tables = (("run", Run), ("prior", Prior), ("solver", GaussNewton))
+    tables = (("run", Run), ("prior", PatchPrior), ("solver", GaussNewton))
     lines = [line for name, kind in tables for line in _commented(name, kind)]
     stages = ["\n# Stages, from coarse to fine, as many tables as there are; without any they are chosen by the grid."]
     return "\n".join([text, *lines, *stages, *_commented("stage", Stage, "[[stage]]"), ""])

@@ -1,15 +1,20 @@
-"""What is known of clouds before any image: smoothness, growth with height, and much clear air."""
+"""What is known of clouds before any image: their patches; or smoothness, growth with height, and much clear air."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass as plain_dataclass
-from typing import Annotated, Any, Protocol, runtime_checkable
+from pathlib import Path
+from typing import Annotated, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.inversion.bound_prior import BoundPrior, FrozenPrior, NoiseUnits
+from cloudtomo_cl.inversion.mixture import read_mixtures
+from cloudtomo_cl.inversion.patch_prior import BoundPatches
+from cloudtomo_cl.inversion.patches import Patches
+from cloudtomo_cl.inversion.relative_prior import RelativePrior
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, device_errors
@@ -18,6 +23,36 @@ from cloudtomo_cl.scene.scene import NotNegative, Positive
 
 # Diagonal of A^T A away from the edges: 1 + 26 / 26^2.
 SMOOTHNESS_CURVATURE = 27 / 26
+
+
+def roughness(extinction: np.ndarray) -> np.ndarray:
+    """A b: the mean of a voxel's 26 neighbours minus itself; beyond the edges stand the nearest voxels."""
+    from scipy.ndimage import uniform_filter
+
+    return (27 * uniform_filter(extinction, 3, mode="nearest") - extinction) / 26 - extinction
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class PatchPrior:
+    """Every patch of a cloud, 5 x 5 x 3 voxels, comes from a mixture of Gaussians that was learnt from clouds.
+
+    The mixture is one of patches divided by the cloud's own mean extinction, s = sum b^2 / sum b of the current
+    estimate, so that no cloud's brightness is built in; there is one for each of several shapes of voxels. Source:
+    Zoran and Weiss 2011 (docs/explanation/patches.md).
+
+    Attributes
+    ----------
+    strength : weight of minus the log likelihood of patches, averaged over the patches that hold a voxel; it is half of
+        that in the steps for a cloud of 200 voxels, and less for one of fewer
+    noise : standard deviation to which patches are known, in units of s; a stage begins with 0.2
+    file : mixtures that scripts/learn_prior.py made; by default those that come with the package, learnt from
+        generated clouds
+    """
+
+    type: Literal["patches"] = "patches"
+    strength: NotNegative = 1.0
+    noise: Positive = 0.03
+    file: Path | None = None
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
@@ -45,7 +80,11 @@ class Prior:
     threshold : km^-1
     sparsity : 1 for the criterion above, 0 for none
     sparsity_scale : b0, km^-1, the extinction at which half of the cost is due
+    reference : km^-1, the mean extinction s = sum b^2 / sum b of the cloud that the other numbers are said for: those
+        of another cloud follow its own mean extinction (scene C has 46). 0: they hold as they stand, for every cloud
     """
+
+    type: Literal["smoothness"] = "smoothness"
 
     smoothness: NotNegative = 0.02
     monotonicity: NotNegative = 0.0
@@ -54,9 +93,13 @@ class Prior:
     threshold: Annotated[float, Field(ge=0)] = 0.01
     sparsity: NotNegative = 1.0
     sparsity_scale: Positive = 3.0
+    reference: NotNegative = 0.0
 
 
 Prior.__init__ = renamed_arguments(clear="sparsity_scale")(Prior.__init__)  # type: ignore[method-assign]
+
+
+AnyPrior = PatchPrior | Prior
 
 
 @runtime_checkable
@@ -73,55 +116,24 @@ class Regulariser(Protocol):
         ...
 
 
-@plain_dataclass(frozen=True)
-class NoiseUnits:
-    """What priors are multiplied with, for the data term is no logarithm: mean weighted variances of a pixel's noise.
-
-    Attributes
-    ----------
-    measured : n, of the measured images
-    both : N, of measured and modelled images
-    weight : the stage's factor of all that is multiplied with N
-    """
-
-    measured: float
-    both: float
-    weight: float = 1.0
-
-    @property
-    def weighted(self) -> float:
-        """The weight times N."""
-        return self.weight * self.both
-
-
-class BoundPrior(Protocol):
-    """A prior for the voxels of one stage."""
-
-    def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
-        """In the unit of the data term; arrays of shape (voxels,), float64."""
-        ...
-
-    def curvature(self, extinction: np.ndarray, units: NoiseUnits) -> np.ndarray | float:
-        """About the diagonal of the second derivative, or an upper bound of it: it only scales."""
-        ...
-
-    def smoothness(self, units: NoiseUnits) -> float:
-        """Weight of 1/2 ||A b||^2 in the cost; 0 if the prior is not made of it."""
-        ...
-
-
-def bound_prior(prior: Prior | Regulariser, voxels: Voxels, device: Device) -> BoundPrior:
+def bound_prior(prior: AnyPrior | Regulariser, voxels: Voxels, device: Device) -> BoundPrior:
     """A prior for the voxels of one stage.
 
     Raises
     ------
-    DataError : it is neither a `Prior` nor has `value_and_gradient`
+    DataError : it is neither a `PatchPrior`, nor a `Prior`, nor has `value_and_gradient`; it has no such file
     """
+    if isinstance(prior, PatchPrior):
+        mixtures = read_mixtures() if prior.file is None else read_mixtures(prior.file)
+        mixture = mixtures.of_spacing(voxels.grid.spacing)
+        patches = Patches(voxels, mixture.size)
+        return RelativePrior(BoundPatches(patches, mixture, prior.strength, prior.noise), 1.0)
     if isinstance(prior, Prior):
-        return DevicePrior(prior, voxels, device)
+        absolute = DevicePrior(prior, voxels, device)
+        return RelativePrior(absolute, prior.reference) if prior.reference else absolute
     if not isinstance(prior, Regulariser):
         raise DataError(
-            f"prior is a {type(prior).__name__}: give a Prior, or an object with "
+            f"prior is a {type(prior).__name__}: give a PatchPrior, a Prior, or an object with "
             "value_and_gradient(extinction, voxels) -> (value, gradient)"
         )
     return _OwnPrior(prior, voxels)
@@ -151,8 +163,14 @@ class _OwnPrior:
         curvature = np.asarray(of_own(extinction.copy(), self._voxels), float)
         return units.weighted * np.maximum(np.broadcast_to(curvature, len(self._voxels)), 0.0)
 
-    def smoothness(self, units: NoiseUnits) -> float:
-        return 0.0
+    def frozen(self, extinction: np.ndarray, iteration: int) -> FrozenPrior:
+        return self
+
+    def stiffness(self, columns: np.ndarray, units: NoiseUnits) -> np.ndarray:
+        return np.zeros_like(columns)
+
+    def perturbation(self, random: np.random.Generator, units: NoiseUnits) -> np.ndarray:
+        return np.zeros(len(self._voxels))
 
 
 class DevicePrior:
@@ -170,10 +188,24 @@ class DevicePrior:
     def curvature(self, extinction: np.ndarray, units: NoiseUnits) -> float:
         prior = self._prior
         of_sparsity = units.measured * (prior.sparsity / prior.sparsity_scale**2)
-        return self.smoothness(units) * SMOOTHNESS_CURVATURE + of_sparsity
+        return units.weighted * prior.smoothness * SMOOTHNESS_CURVATURE + of_sparsity
 
-    def smoothness(self, units: NoiseUnits) -> float:
-        return units.weighted * self._prior.smoothness
+    def frozen(self, extinction: np.ndarray, iteration: int) -> FrozenPrior:
+        return self
+
+    def stiffness(self, columns: np.ndarray, units: NoiseUnits) -> np.ndarray:
+        """Of smoothness alone: A is symmetric."""
+        products = [roughness(roughness(self._on_grid(column)))[self._voxels.mask] for column in columns.T]
+        return units.weighted * self._prior.smoothness * np.column_stack(products)
+
+    def perturbation(self, random: np.random.Generator, units: NoiseUnits) -> np.ndarray:
+        draw = roughness(random.standard_normal(self._voxels.mask.shape))[self._voxels.mask]
+        return np.sqrt(units.weighted * self._prior.smoothness * units.both) * draw
+
+    def _on_grid(self, values: np.ndarray) -> np.ndarray:
+        full = np.zeros(self._voxels.mask.shape)
+        full[self._voxels.mask] = values
+        return full
 
 
 class PriorOperator:

@@ -10,10 +10,12 @@ import numpy as np
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.missing import require_present
+from cloudtomo_cl.inversion.bound_prior import BoundPrior, NoiseUnits
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.objective import AveragedImage
 from cloudtomo_cl.inversion.pixels import ActivePixels, active_pixels
-from cloudtomo_cl.inversion.priors import BoundPrior, NoiseUnits, Prior, Regulariser, bound_prior
+from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser, bound_prior
+from cloudtomo_cl.inversion.solvers.blas import with_one_blas_thread
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
@@ -62,7 +64,7 @@ class Problem:
         measurements: Measurements,
         *,
         mask: np.ndarray | None = None,
-        prior: Prior | Regulariser | None = None,
+        prior: AnyPrior | Regulariser | None = None,
         grid: Sequence[int] | None = None,
         device: Device | None = None,
         prior_weight: float = 1.0,
@@ -75,7 +77,7 @@ class Problem:
         scene : what is known: grid, optics, sun, air, surface, boundary
         measurements : images and views
         mask : bool on the scene's grid, where cloud may be; by default what carving leaves (`carve`)
-        prior : by default `Prior()`; or an object of your own, see `Regulariser`
+        prior : by default `PatchPrior()`; or an object of your own, see `Regulariser`
         grid : numbers of voxels along x, y, z that the same domain is to have; by default the scene's
         device : where to compute; by default `choose_device()`
         prior_weight : factor of the prior
@@ -94,7 +96,7 @@ class Problem:
         voxels = Voxels(coarse.grid, coarsened(mask, shape))
         active = active_pixels(measurements, coarse.grid, voxels.mask)
         operator = RadianceOperator(coarse, active.views, device, active.listed, mask=voxels.mask)
-        return cls(voxels, active, operator, bound_prior(prior or Prior(), voxels, device), prior_weight, samples)
+        return cls(voxels, active, operator, bound_prior(prior or PatchPrior(), voxels, device), prior_weight, samples)
 
     def __repr__(self) -> str:
         return f"Problem({len(self.active)} pixels, {len(self.voxels)} voxels of {self.grid.text})"
@@ -159,6 +161,7 @@ class Problem:
         return LinearModel(x.copy(), rendering.mean, rendering.standard_error**2, sums.jacobian, rendering)
 
     @device_errors("the cost and its gradient")
+    @with_one_blas_thread
     def value_and_gradient(
         self, x: np.ndarray, *, samples: int | None = None, seed: int = 0, stream: int = 1
     ) -> tuple[float, np.ndarray]:

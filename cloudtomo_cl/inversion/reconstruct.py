@@ -13,7 +13,7 @@ import numpy as np
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, identity_of, read_checkpoint
-from cloudtomo_cl.inversion.priors import Prior, Regulariser
+from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser
 from cloudtomo_cl.inversion.problem import Problem, checked_mask
 from cloudtomo_cl.inversion.records import IterationRecord, Reconstruction
 from cloudtomo_cl.inversion.run import (
@@ -43,8 +43,8 @@ from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.seeds import checked_seed
 
 _LOGGER = logging.getLogger(__name__)
-# Where a solver does not say: inside the mask before the first stage, km^-1.
-_START = 2.0
+# Where a solver does not say: optical depth of what a recovery starts from, along a mean chord of the mask's box.
+_START_DEPTH = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class _Question:
 
     scene: Scene
     measurements: Measurements
-    prior: Prior | Regulariser
+    prior: AnyPrior | Regulariser
     mask: np.ndarray
     device: Device
 
@@ -76,7 +76,7 @@ def reconstruct(
     scene: Scene,
     measurements: Measurements,
     stages: Sequence[Stage] | None = None,
-    prior: Prior | Regulariser | None = None,
+    prior: AnyPrior | Regulariser | None = None,
     solver: Solver | None = None,
     *,
     mask: np.ndarray | None = None,
@@ -98,7 +98,7 @@ def reconstruct(
     scene : what is known: grid, optics, sun, air, surface, boundary
     measurements : images and views
     stages : by default `automatic_stages` for the scene's grid and the solver
-    prior : by default `Prior()`; or an object of your own, see `Regulariser`
+    prior : by default `PatchPrior()`; or an object of your own, see `Regulariser`
     solver : by default `GaussNewton()`; or `Adam`, `SGD`, or an object of your own, see `Solver`
     mask : bool on the scene's grid, where cloud may be; by default what carving leaves (`carve`), or the checkpoint's
     time_limit : seconds after which the run ends with what it has, before an iteration that would take longer,
@@ -122,7 +122,7 @@ def reconstruct(
     TransportError : a radiance, a gradient or an extinction is not finite, or diverged
     DeviceError : the device failed or has not enough memory
     """
-    device, prior, solver = device or choose_device(), prior or Prior(), solver or GaussNewton()
+    device, prior, solver = device or choose_device(), prior or PatchPrior(), solver or GaussNewton()
     resumed = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
     check(scene, measurements, stages, prior, solver, mask=mask, device=device, seed=seed, truth=truth, resume=resumed)
     stages = stages_of(scene.grid, stages, solver)
@@ -156,7 +156,7 @@ def _iterated(
     seed: int,
 ) -> tuple[Problem, Any]:
     """All stages, from where the run stands; returns the last problem, and the state that it ended with."""
-    estimate = np.full(run.stages[0].grid, getattr(solver, "start", _START))
+    estimate = np.full(run.stages[0].grid, _start(solver, question.scene.grid, question.mask))
     while True:
         stage = run.stages[run.stage]
         _LOGGER.info("stage %d of %d: building its kernels", run.stage + 1, len(run.stages))
@@ -181,6 +181,17 @@ def _iterated(
         run.stage, run.iteration = run.stage + 1, 0
 
 
+def _start(solver: Any, grid: Grid, mask: np.ndarray) -> float:
+    """The extinction inside the mask before the first stage, km^-1: the solver's, or by the size of the mask."""
+    given = getattr(solver, "start", None)
+    if given is not None:
+        return float(given)
+    voxels = np.argwhere(mask)
+    x, y, z = (voxels.max(axis=0) - voxels.min(axis=0) + 1) * grid.spacing
+    mean_chord = 4 * x * y * z / (2 * (x * y + y * z + z * x))  # of a convex body, 4 volume / surface
+    return float(_START_DEPTH / mean_chord)
+
+
 def _is_over(run: Run, rules: Sequence[StoppingRule]) -> bool:
     return any([rule(run) for rule in rules])  # all are asked: they remember
 
@@ -196,7 +207,7 @@ def check(
     scene: Scene,
     measurements: Measurements,
     stages: Sequence[Stage] | None = None,
-    prior: Prior | Regulariser | None = None,
+    prior: AnyPrior | Regulariser | None = None,
     solver: Solver | None = None,
     *,
     mask: np.ndarray | None = None,
@@ -213,7 +224,7 @@ def check(
     ------
     DataError, DeviceError : as `reconstruct`
     """
-    prior, solver = prior or Prior(), solver or GaussNewton()
+    prior, solver = prior or PatchPrior(), solver or GaussNewton()
     stages = stages_of(scene.grid, stages, solver)
     checked_seed(seed)
     if truth is not None and np.shape(truth) != scene.grid.shape:
@@ -234,7 +245,7 @@ def _check_start(grid: Grid, stages: Sequence[Stage], solver: Any) -> None:
     """DataError if the first render would be of something that light never leaves."""
     edge = max(max(grid.with_shape(stage.grid).spacing) for stage in stages)
     for name in ("start", "floor"):
-        value = getattr(solver, name, 0.0)
+        value = getattr(solver, name, None) or 0.0
         if not value * edge < LARGEST_VOXEL_DEPTH:
             raise DataError(
                 f"solver.{name} is {value:g} km^-1, an optical depth of {value * edge:.3g} across a voxel of "

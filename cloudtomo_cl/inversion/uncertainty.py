@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cloudtomo_cl.inversion.priors import SMOOTHNESS_CURVATURE
+from cloudtomo_cl.inversion.bound_prior import FrozenPrior, NoiseUnits
 from cloudtomo_cl.transport.jacobian import Jacobian
 
 # Of the conjugate gradients between two looks at the bounds: at most, and the residual relative to the right side
@@ -18,21 +18,13 @@ _LOOKS = 4
 LEAST_CURVATURE = 1e-3
 
 
-def roughness(extinction: np.ndarray) -> np.ndarray:
-    """A b of prior.py: the mean of a voxel's 26 neighbours minus itself."""
-    from scipy.ndimage import uniform_filter
-
-    return (27 * uniform_filter(extinction, 3, mode="nearest") - extinction) / 26 - extinction
-
-
 def standard_errors(
     jacobian: Jacobian,
     weights: np.ndarray,
     noise: Callable[[np.random.Generator], np.ndarray],
     correct: Callable[[np.ndarray], np.ndarray],
-    smoothness: float,
-    unit: float,
-    mask: np.ndarray,
+    prior: FrozenPrior,
+    units: NoiseUnits,
     estimate: np.ndarray,
     gradient: np.ndarray,
     draws: int,
@@ -40,7 +32,7 @@ def standard_errors(
 ) -> np.ndarray:
     """Root mean square over draws from the posterior distribution of the linear model.
 
-    Each draw changes the measured images by their noise, and the smoothness' zero by what it allows, and
+    Each draw changes the measured images by their noise, and the prior's mean by what it allows, and
     minimises the model again, over extinctions that are not negative. For linear images and without bounds these
     are samples of the posterior ("randomize then optimize": Papandreou and Yuille 2010; with bounds: Bardsley and
     Fox 2012). Other priors keep the slope that they have at the estimate.
@@ -51,9 +43,8 @@ def standard_errors(
     weights : of the squared residuals, shape (pixels,)
     noise : draws noise of the images, shape (pixels,)
     correct : what is left of residuals, `Gains`, shape (pixels,)
-    smoothness : weight of 1/2 ||A b||^2 in the cost; 0 leaves the prior's part out
-    unit : the mean weighted variance of a pixel's noise
-    mask : bool, shape of the grid
+    prior : whose Gaussian part counts
+    units : what it is multiplied with
     estimate : km^-1, shape (voxels of the mask,)
     gradient : of the cost there, with all priors, same shape
     draws : how many: the result is good to 1 / sqrt(2 draws)
@@ -65,26 +56,18 @@ def standard_errors(
     """
     random = np.random.default_rng([seed, draws])
     curvature = jacobian.curvature(weights)
-    scale = 1 / (curvature + smoothness * SMOOTHNESS_CURVATURE + LEAST_CURVATURE * curvature.mean())
-
-    def stiffness(column: np.ndarray) -> np.ndarray:
-        """A^T A b; A is symmetric."""
-        full = np.zeros(mask.shape)
-        full[mask] = column
-        return roughness(roughness(full))[mask]
+    scale = 1 / (curvature + prior.curvature(estimate, units) + LEAST_CURVATURE * curvature.mean())
 
     def product(values: np.ndarray) -> np.ndarray:
         """The model's second derivative times the columns."""
         changed = jacobian.matmat(values)
         force = np.column_stack([weights * correct(column) for column in changed.T])
-        held = np.column_stack([stiffness(column) for column in values.T])
-        return jacobian.rmatmat(force) + smoothness * held
+        return jacobian.rmatmat(force) + prior.stiffness(values, units)
 
     right = np.zeros((len(curvature), draws + 1))  # the last one has no noise
     for draw in range(draws):
         force = weights * correct(noise(random))
-        of_prior = roughness(random.standard_normal(mask.shape))[mask]
-        right[:, draw] = jacobian.rmatvec(force) + np.sqrt(smoothness * unit) * of_prior
+        right[:, draw] = jacobian.rmatvec(force) + prior.perturbation(random, units)
     found = bounded_minimum(product, right - gradient[:, None], scale[:, None], -estimate[:, None])
     return np.sqrt(np.mean((found[:, :-1] - found[:, -1:]) ** 2, axis=1))
 

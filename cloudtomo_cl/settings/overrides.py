@@ -15,7 +15,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-_EXAMPLE = "write for instance --set prior.smoothness=0.01, or --set 'view[0].zenith=30'"
+_EXAMPLE = "write for instance --set prior.strength=0.5, or --set 'view[0].zenith=30'"
 
 
 def with_overrides(tables: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from pydantic.dataclasses import dataclass
 from cloudtomo_cl.errors import DataError, SettingsError
 from cloudtomo_cl.files.phase import read_phase_function
 from cloudtomo_cl.files.text import read_text
-from cloudtomo_cl.inversion.priors import Prior
+from cloudtomo_cl.inversion.priors import PatchPrior, Prior
 from cloudtomo_cl.inversion.solvers.choice import SolverTable
 from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.inversion.stages import Stage
@@ -159,6 +159,26 @@ class CloudFile(CloudTable):
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class PatchPriorTable(PatchPrior):
+    """Every patch of a cloud, 5 x 5 x 3 voxels, comes from a mixture of Gaussians that was learnt from clouds.
+
+    See docs/explanation/patches.md.
+    """
+
+    file: InputFile | None = None
+
+
+def _with_type(table: Any) -> Any:
+    """A table without a type is of the default prior."""
+    if isinstance(table, dict) and "type" not in table:
+        return {"type": "patches", **table}
+    return table
+
+
+PriorTable = Annotated[Annotated[PatchPriorTable | Prior, Field(discriminator="type")], BeforeValidator(_with_type)]
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Run:
     """How a reconstruction runs.
 
@@ -220,7 +240,7 @@ class ReconstructSettings(BaseModel):
     boundary: Boundary | None = None
     view: ViewTables | None = None
     stage: Annotated[tuple[Stage, ...], Field(min_length=1)] | None = None
-    prior: Prior = Prior()
+    prior: PriorTable = PatchPriorTable()
     solver: SolverTable = GaussNewton()
     run: Run = Run()
 

@@ -227,3 +227,25 @@ def test_automatic_stages_may_have_iterations_of_the_solver(problem, device):
     check(scene, measurements, solver=solver, device=device)
     result = ct.reconstruct(scene, measurements, solver=solver, mask=np.ones(scene.grid.shape, bool), device=device)
     assert [record.stage for record in result.history].count(result.history[-1].stage) == 1
+
+
+def test_patches_bring_a_cloud_nearer_to_the_truth(device):
+    """Of a cloud that they were not learnt from. The margin is a fifth of what they gain over no prior in a trial."""
+    grid = ct.Grid(shape=(12, 12, 12), spacing=(0.5 / 12,) * 3)
+    truth = ct.cumulus(grid, seed=301, peak=40.0)
+    scene = ct.Scene(grid=grid, sun=ct.Sun(zenith=20.0))
+    directions = [(0, 0), (45, 0), (45, 90), (45, 180), (45, 270)]
+    views = tuple(
+        ct.OrthographicView(zenith=zenith, azimuth=azimuth, width=0.7, pixels=(16, 16))
+        for zenith, azimuth in directions
+    )
+    operator = ct.RadianceOperator(scene, views, device)
+    measurements = ct.Measurements.rendered(operator, operator.render(truth, 1024, seed=1))
+    stages = (ct.Stage(grid=(6, 6, 6), pixels=0.5, iterations=3), ct.Stage(grid=(12, 12, 12), iterations=6))
+    errors = [
+        ct.epsilon(
+            ct.reconstruct(scene, measurements, stages, prior, device=device, seed=2, uncertainty=0).extinction, truth
+        )
+        for prior in (ct.PatchPrior(), ct.PatchPrior(strength=0.0))
+    ]
+    assert errors[0] < 0.97 * errors[1]

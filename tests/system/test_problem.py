@@ -168,7 +168,7 @@ def test_an_own_prior_of_another_shape_is_refused(scene, measurements, device, t
 
 
 def test_what_is_no_prior_is_refused(scene, measurements, device, truth):
-    with pytest.raises(DataError, match="prior is a float: give a Prior, or an object with"):
+    with pytest.raises(DataError, match="prior is a float: give a PatchPrior, a Prior, or an object with"):
         recover(scene, measurements, device, mask=truth > 0, prior=3.0)
 
 
@@ -185,6 +185,8 @@ class State:
 
 
 class HalfWay:
+    start = 2.0
+
     def __init__(self, aim):
         self.aim = aim
 

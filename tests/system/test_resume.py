@@ -116,8 +116,8 @@ def test_seconds_go_on_over_a_resume(problem, device):
 def test_a_checkpoint_of_another_run_is_refused(problem, device):
     taken = []
     recover(problem, device, checkpoint=taken.append, stop=lambda: True)
-    with pytest.raises(DataError, match=r"prior.smoothness is 0.5, the checkpoint's is"):
-        recover(problem, device, resume=taken[-1], prior=ct.Prior(smoothness=0.5))
+    with pytest.raises(DataError, match=r"prior.strength is 0.5, the checkpoint's is"):
+        recover(problem, device, resume=taken[-1], prior=ct.PatchPrior(strength=0.5))
     scene, measurements, truth = problem
     other = ct.Measurements(measurements.views, tuple(2 * i for i in measurements.images), measurements.standard_errors)
     with pytest.raises(DataError, match=r"images\[0\] holds other numbers"):

@@ -213,7 +213,7 @@ RUNS = {
     ),
     "grid beyond any memory": ("[grid]\nshape = [1000000, 1000000, 1000000]\nspacing = [1, 1, 1]\n", "voxels"),
     "truth elsewhere": ('[truth]\nfile = "nowhere.nc"\n', "truth.file is wrong: there is no file"),
-    "prior of text": ('[prior]\nsmoothness = "much"\n', 'prior.smoothness must be a number, is "much"'),
+    "prior of text": ('[prior]\nstrength = "much"\n', 'prior.strength must be a number, is "much"'),
     "checkpoints at negative times": ("[run]\ncheckpoint_interval = -1\n", "run.checkpoint_interval must be greater"),
 }
 

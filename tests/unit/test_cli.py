@@ -16,11 +16,10 @@ from cloudtomo_cl.commands import cli, devices, fluxes, reconstruction, renderin
 from cloudtomo_cl.commands.cli import main
 from cloudtomo_cl.files.extinction import read_extinction, write_extinction
 from cloudtomo_cl.files.measurements import write_rays
-from cloudtomo_cl.inversion.priors import Prior
 from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.sensors import RayView
-from cloudtomo_cl.settings.tables import read_reconstruct_settings, read_render_settings
+from cloudtomo_cl.settings.tables import PatchPriorTable, read_reconstruct_settings, read_render_settings
 from cloudtomo_cl.settings.tables import views as expanded
 
 SCENE = """
@@ -462,7 +461,7 @@ def test_init_writes_files_that_render_and_reconstruct(folder, capsys, everythin
         Path("again.toml").write_text(uncommented("again.toml"))
         assert len(read_reconstruct_settings("again.toml").stage) == 1
     settings = read_reconstruct_settings("again.toml")
-    assert settings.prior == Prior() and settings.solver == GaussNewton()
+    assert settings.prior == PatchPriorTable() and settings.solver == GaussNewton()
 
 
 def test_the_views_of_init_see_the_whole_cloud(folder):

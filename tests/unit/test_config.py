@@ -17,7 +17,7 @@ from cloudtomo_cl.scene.phase import DoubleHenyeyGreenstein, HenyeyGreenstein, P
 from cloudtomo_cl.scene.scene import Air, Boundary, Cloud, Scene, Sun, Surface
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView
 from cloudtomo_cl.settings.stored import stored_scene
-from cloudtomo_cl.settings.tables import read_reconstruct_settings, read_render_settings
+from cloudtomo_cl.settings.tables import PatchPriorTable, read_reconstruct_settings, read_render_settings
 
 SCENE = """
 [cloud]
@@ -150,7 +150,14 @@ def test_whole_numbers_are_numbers(folder):
 
 def test_smallest_run_has_the_defaults_of_the_api(folder):
     settings = read_run(folder, RUN)
-    assert (settings.stage, settings.prior, settings.solver, settings.run.seed) == (None, Prior(), GaussNewton(), 0)
+    defaults = (None, PatchPriorTable(), GaussNewton(), 0)
+    assert (settings.stage, settings.prior, settings.solver, settings.run.seed) == defaults
+
+
+def test_a_key_of_the_other_prior_is_named_with_its_type(folder):
+    with pytest.raises(SettingsError, match="prior.smoothness is no key of type 'patches', but of 'smoothness'"):
+        read_run(folder, RUN + "[prior]\nsmoothness = 0.1\n")
+    assert read_run(folder, RUN + '[prior]\ntype = "smoothness"\nsmoothness = 0.1\n').prior == Prior(smoothness=0.1)
 
 
 def test_run_takes_the_stored_scene(folder):
@@ -340,7 +347,7 @@ def test_wrong_run_is_named(folder, text, message):
 @pytest.mark.parametrize(
     "table",
     [Grid, Sun, Cloud, Air, Surface, Boundary, Scene, HenyeyGreenstein, DoubleHenyeyGreenstein, TabulatedPhaseFunction]
-    + [PerspectiveView, OrthographicView, Stage, Prior, GaussNewton, Adam, SGD],
+    + [PerspectiveView, OrthographicView, Stage, Prior, PatchPriorTable, GaussNewton, Adam, SGD],
 )
 def test_settings_classes_refuse_unknown_arguments(table):
     with pytest.raises(ValidationError) as error:

@@ -5,7 +5,9 @@ import pytest
 from scipy.optimize import lsq_linear
 from scipy.sparse.linalg import LinearOperator
 
-from cloudtomo_cl.inversion.uncertainty import bounded_minimum, roughness, standard_errors
+from cloudtomo_cl.inversion.bound_prior import NoiseUnits
+from cloudtomo_cl.inversion.priors import roughness
+from cloudtomo_cl.inversion.uncertainty import bounded_minimum, standard_errors
 from cloudtomo_cl.reference.prior import smoothness_matrix
 
 SHAPE = (4, 3, 5)
@@ -32,6 +34,25 @@ class Dense(LinearOperator):
         return weights @ self.values**2
 
 
+class Smooth:
+    """What the standard errors use of a prior, of weight / 2 ||matrix b||^2."""
+
+    def __init__(self, matrix, weight):
+        self.matrix, self.weight = matrix, weight
+
+    def curvature(self, extinction, units):
+        return self.weight * np.sum(self.matrix**2, axis=0)
+
+    def stiffness(self, columns, units):
+        return self.weight * self.matrix.T @ (self.matrix @ columns)
+
+    def perturbation(self, random, units):
+        return np.sqrt(self.weight * units.both) * self.matrix.T @ random.standard_normal(len(self.matrix))
+
+
+UNITS = NoiseUnits(0.3, 0.3)
+
+
 @pytest.fixture
 def problem(random):
     mask = random.random(SHAPE) < 0.8
@@ -42,10 +63,10 @@ def problem(random):
 
 
 def found(problem, smoothness, draws=DRAWS, correct=lambda residual: residual):
-    mask, jacobian, weights, deviation, _ = problem
+    mask, jacobian, weights, deviation, matrix = problem
     return standard_errors(
-        Dense(jacobian), weights, lambda random: deviation * random.standard_normal(PIXELS), correct, smoothness,
-        0.3, mask, np.full(mask.sum(), np.inf), np.zeros(mask.sum()), draws, seed=1,
+        Dense(jacobian), weights, lambda random: deviation * random.standard_normal(PIXELS), correct,
+        Smooth(matrix, smoothness), UNITS, np.full(mask.sum(), np.inf), np.zeros(mask.sum()), draws, seed=1,
     )  # fmt: skip
 
 
@@ -98,11 +119,11 @@ def test_minima_respect_their_bounds(random):
 
 
 def test_voxels_pressed_against_zero_have_small_errors(problem):
-    mask, jacobian, weights, deviation, _ = problem
+    mask, jacobian, weights, deviation, matrix = problem
     voxels = mask.sum()
     pressed = np.arange(voxels) % 2 == 0
     errors = standard_errors(
         Dense(jacobian), weights, lambda random: deviation * random.standard_normal(PIXELS), lambda r: r,
-        1.0, 0.3, mask, np.where(pressed, 0.0, np.inf), np.where(pressed, 1e3, 0.0), 50, seed=1,
+        Smooth(matrix, 1.0), UNITS, np.where(pressed, 0.0, np.inf), np.where(pressed, 1e3, 0.0), 50, seed=1,
     )  # fmt: skip
     assert (errors[pressed] == 0).all() and (errors[~pressed] > 0).all()

@@ -122,7 +122,8 @@ class _Descent:
         image = state.image.with_halves(rendering.halves, window)
         if change is not None:
             image = image.moved(change, window)
-        prior, prior_gradient = problem.prior.value_and_gradient(
+        # As in the first step of a stage: a prior that is known more sharply is too stiff for steps along a gradient.
+        prior, prior_gradient = problem.prior.frozen(state.extinction, 0).value_and_gradient(
             state.extinction, problem.units(image.noise(problem.weights))
         )
         gradient = gradient + prior_gradient.astype(np.float32)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass as plain_dataclass
 from dataclasses import replace
 from typing import Annotated, Literal
@@ -11,9 +12,11 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.inversion.bound_prior import FrozenPrior, NoiseUnits
 from cloudtomo_cl.inversion.jacobian_average import JacobianAverage
 from cloudtomo_cl.inversion.objective import cost_of_independent, noise_of
 from cloudtomo_cl.inversion.problem import Problem
+from cloudtomo_cl.inversion.relative_prior import mean_extinction
 from cloudtomo_cl.inversion.solvers.blas import with_one_blas_thread
 from cloudtomo_cl.inversion.solvers.parametrisation import Parametrisation
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
@@ -23,7 +26,7 @@ from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import Count
 from cloudtomo_cl.scene.scene import NotNegative, Positive
 from cloudtomo_cl.transport.derivatives import table_footprint
-from cloudtomo_cl.transport.jacobian import jacobian_footprint
+from cloudtomo_cl.transport.jacobian import Jacobian, jacobian_footprint
 from cloudtomo_cl.transport.radiance import Rendering, pooled
 
 _LOGGER = logging.getLogger(__name__)
@@ -31,6 +34,8 @@ _LOGGER = logging.getLogger(__name__)
 _TANGENT_ERROR = 0.1
 # Of L-BFGS-B's memory.
 _CORRECTIONS = 20
+# How often a step is minimised again because the cloud's mean extinction has changed, by more than this share.
+_RESCALINGS, _SETTLED_SCALE = 4, 0.1
 
 
 @plain_dataclass(frozen=True, eq=False)
@@ -78,7 +83,8 @@ class GaussNewton:
     ----------
     iterations : on the finest of the automatic stages, at most; by default 30. A run that has done them goes on with
         more by `--resume`, unless its cost has settled
-    start : extinction inside the mask before the first stage, km^-1
+    start : extinction inside the mask before the first stage, km^-1; by default an optical depth of 1 along a mean
+        chord of the box around the mask
     image_samples : paths for the images, times those for the derivatives
     damping : of the first steps, in shares of the data term's own curvature; it halves from step to step, down to
         a tenth
@@ -89,7 +95,7 @@ class GaussNewton:
 
     type: Literal["gauss-newton"] = "gauss-newton"
     iterations: Count | None = None
-    start: Positive = 2.0
+    start: Positive | None = None
     image_samples: Annotated[int, Field(ge=0)] = 5
     damping: NotNegative = 0.1
     inner_iterations: Count = 40
@@ -131,8 +137,9 @@ class GaussNewton:
             walked=np.concatenate([state.walked, state.extinction[None].astype(np.float32)]),
             derivatives=derivatives,
         )
-        prior, _ = problem.prior.value_and_gradient(state.extinction, problem.units(state.modelled_noise(problem)))
-        state = self._minimised(problem, state, stream)
+        frozen = problem.prior.frozen(state.extinction, state.iterations - 1)
+        prior, _ = frozen.value_and_gradient(state.extinction, problem.units(state.modelled_noise(problem)))
+        state = self._minimised(problem, state, frozen, stream)
         rate = tail_rate(state.iterations - 1)
         estimate = state.estimate + (state.extinction - state.estimate) * rate
         paths = rendering.samples * len(problem.active)
@@ -148,40 +155,39 @@ class GaussNewton:
         values = problem.on_grid(extinction)
         return pooled(walked, problem.operator.render(values, more, seed, stream, first_sample=walked.samples))
 
-    def _minimised(self, problem: Problem, state: GaussNewtonState, stream: int) -> GaussNewtonState:
-        """The state at the minimum of the model: residuals and their derivatives, prior, and a damping of the step."""
-        from scipy.optimize import minimize
+    def _minimised(
+        self, problem: Problem, state: GaussNewtonState, prior: FrozenPrior, stream: int
+    ) -> GaussNewtonState:
+        """The state at the minimum of the model: residuals and their derivatives, prior, and a damping of the step.
 
+        prior : as it stands at the state's extinction
+        """
         assert state.derivatives is not None
-        jacobian, weights, gains = state.derivatives.jacobian, problem.weights, problem.active.gains
-        start, image, residual = state.extinction, state.image, state.image - problem.radiance
-        units = problem.units(state.modelled_noise(problem))
+        jacobian, weights = state.derivatives.jacobian, problem.weights
         curvature = jacobian.curvature(weights)
         check_gradient(curvature, problem, stream)
-        damping = self.damping * max(0.5 ** (state.iterations - 1), 0.1)
-        unknown = Parametrisation(self.linear_depth / float(np.mean(problem.grid.spacing)))
-        begin, slope = unknown.of(start), unknown.slope(start)
-        stiff = curvature * (1 + damping) + problem.prior.curvature(start, units)
-        scale = 1 / (slope * np.sqrt(stiff + LEAST_CURVATURE * curvature.mean()))
-
-        def model(scaled: np.ndarray) -> tuple[float, np.ndarray]:
-            values = unknown.extinction(scaled * scale)
-            change = slope * (scaled * scale - begin)
-            misfit = residual + jacobian @ change
-            force = weights * gains(misfit, image)
-            prior, prior_gradient = problem.prior.value_and_gradient(values, units)
-            held = damping * curvature * change
-            gradient = slope * (jacobian.rmatvec(force) + held) + unknown.slope(values) * prior_gradient
-            return 0.5 * float(misfit @ force + held @ change) + prior, gradient * scale
-
-        options = {"maxiter": self.inner_iterations, "maxcor": _CORRECTIONS}
-        bounds = [(0.0, None)] * len(start)
-        found = minimize(model, begin / scale, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-        reached = np.maximum(found.x * scale, 0.0)
-        extinction = unknown.extinction(reached)
-        predicted = jacobian @ (slope * (reached - begin))
+        model = _Model(
+            jacobian,
+            Parametrisation(self.linear_depth / float(np.mean(problem.grid.spacing))),
+            lambda residual: weights * problem.active.gains(residual, state.image),
+            state.image - problem.radiance,
+            state.extinction,
+            curvature,
+            self.damping * max(0.5 ** (state.iterations - 1), 0.1),
+            problem.units(state.modelled_noise(problem)),
+        )
+        extinction = model.minimised(state.extinction, prior, self.inner_iterations)
+        scale = mean_extinction(state.extinction)
+        for _ in range(_RESCALINGS):
+            # A prior that measures a cloud by its own extinction has the start's: that may be far from this cloud's.
+            before, scale = scale, mean_extinction(extinction)
+            if abs(scale - before) <= _SETTLED_SCALE * before:
+                break
+            prior = problem.prior.frozen(extinction, state.iterations - 1)
+            extinction = model.minimised(extinction, prior, self.inner_iterations)
+        predicted = jacobian @ model.change(extinction)
         lag = state.lag + noise_of((_TANGENT_ERROR * predicted) ** 2, weights)
-        return replace(state, extinction=extinction, image=image + predicted, lag=lag)
+        return replace(state, extinction=extinction, image=state.image + predicted, lag=lag)
 
     @with_one_blas_thread
     def standard_error(self, problem: Problem, state: GaussNewtonState, draws: int, seed: int) -> np.ndarray | None:
@@ -196,7 +202,8 @@ class GaussNewton:
         units = problem.units(state.modelled_noise(problem))
         misfit = image - problem.radiance + jacobian @ (state.estimate - state.extinction)
         force = problem.weights * active.gains(misfit, image)
-        gradient = jacobian.rmatvec(force) + problem.prior.value_and_gradient(state.estimate, units)[1]
+        prior = problem.prior.frozen(state.estimate, state.iterations)
+        gradient = jacobian.rmatvec(force) + prior.value_and_gradient(state.estimate, units)[1]
         deviation = np.sqrt(active.variance + state.variance)
         calibration = np.array(active.calibration_errors)
 
@@ -209,14 +216,68 @@ class GaussNewton:
             problem.weights,
             noise,
             lambda residual: active.gains(residual, image),
-            problem.prior.smoothness(units),
-            units.both,
-            problem.mask,
+            prior,
+            units,
             state.estimate,
             gradient,
             draws,
             seed,
         )
+
+
+@plain_dataclass(frozen=True, eq=False)
+class _Model:
+    """The model of the data term, damped, near an extinction: quadratic in the unknown that stands for it.
+
+    Attributes
+    ----------
+    jacobian : shape (pixels, voxels)
+    unknown : in which it is quadratic
+    force : from residuals, the derivative of the data term with respect to the modelled image, shape (pixels,)
+    residual : modelled minus measured image at `start`, shape (pixels,)
+    start : km^-1, shape (voxels,)
+    curvature : the data term's, its second derivative's diagonal, shape (voxels,)
+    damping : in shares of it
+    units : what the prior is multiplied with
+    """
+
+    jacobian: Jacobian
+    unknown: Parametrisation
+    force: Callable[[np.ndarray], np.ndarray]
+    residual: np.ndarray
+    start: np.ndarray
+    curvature: np.ndarray
+    damping: float
+    units: NoiseUnits
+
+    def minimised(self, extinction: np.ndarray, prior: FrozenPrior, iterations: int) -> np.ndarray:
+        """The extinction that makes model and prior least, found from another, km^-1, shape (voxels,)."""
+        from scipy.optimize import minimize
+
+        unknown, slope = self.unknown, self.unknown.slope(self.start)
+        stiff = self.curvature * (1 + self.damping) + prior.curvature(extinction, self.units)
+        scale = 1 / (slope * np.sqrt(stiff + LEAST_CURVATURE * self.curvature.mean()))
+
+        def value_and_gradient(scaled: np.ndarray) -> tuple[float, np.ndarray]:
+            values = unknown.extinction(scaled * scale)
+            change = self.change(values)
+            misfit = self.residual + self.jacobian @ change
+            force = self.force(misfit)
+            of_prior, prior_gradient = prior.value_and_gradient(values, self.units)
+            held = self.damping * self.curvature * change
+            gradient = slope * (self.jacobian.rmatvec(force) + held) + unknown.slope(values) * prior_gradient
+            return 0.5 * float(misfit @ force + held @ change) + of_prior, gradient * scale
+
+        options = {"maxiter": iterations, "maxcor": _CORRECTIONS}
+        bounds = [(0.0, None)] * len(extinction)
+        begin = unknown.of(extinction) / scale
+        found = minimize(value_and_gradient, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+        return unknown.extinction(np.maximum(found.x * scale, 0.0))
+
+    def change(self, extinction: np.ndarray) -> np.ndarray:
+        """What the derivatives are multiplied with, from the start to an extinction, km^-1, shape (voxels,)."""
+        unknown = self.unknown
+        return unknown.slope(self.start) * (unknown.of(extinction) - unknown.of(self.start))
 
 
 def tail_rate(iteration: int) -> float:

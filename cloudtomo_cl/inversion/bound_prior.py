@@ -1,0 +1,61 @@
+"""What solvers ask of a prior: value, gradient and curvature for the voxels of one stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class NoiseUnits:
+    """What priors are multiplied with, for the data term is no logarithm: mean weighted variances of a pixel's noise.
+
+    Attributes
+    ----------
+    measured : n, of the measured images
+    both : N, of measured and modelled images
+    weight : the stage's factor of all that is multiplied with N
+    """
+
+    measured: float
+    both: float
+    weight: float = 1.0
+
+    @property
+    def weighted(self) -> float:
+        """The weight times N."""
+        return self.weight * self.both
+
+
+class FrozenPrior(Protocol):
+    """A prior for the voxels of one stage as one step minimises with it: all that follows the estimate stands still."""
+
+    def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
+        """In the unit of the data term; arrays of shape (voxels,), float64."""
+        ...
+
+    def curvature(self, extinction: np.ndarray, units: NoiseUnits) -> np.ndarray | float:
+        """About the diagonal of the second derivative, or an upper bound of it: it only scales."""
+        ...
+
+    def stiffness(self, columns: np.ndarray, units: NoiseUnits) -> np.ndarray:
+        """The second derivative of its Gaussian part times columns, shape (voxels, columns); 0 of what has none."""
+        ...
+
+    def perturbation(self, random: np.random.Generator, units: NoiseUnits) -> np.ndarray:
+        """A draw from the normal distribution whose covariance is N times `stiffness`, shape (voxels,)."""
+        ...
+
+
+class BoundPrior(Protocol):
+    """A prior for the voxels of one stage."""
+
+    def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
+        """Of a function of the extinction alone. In the unit of the data term; arrays of shape (voxels,), float64."""
+        ...
+
+    def frozen(self, extinction: np.ndarray, iteration: int) -> FrozenPrior:
+        """For a step from this extinction, the stage's iteration counted from 0."""
+        ...

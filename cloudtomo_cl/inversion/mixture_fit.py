@@ -1,0 +1,138 @@
+"""Mixtures of Gaussians fitted to patches of clouds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.inversion.mixture import Mixture
+from cloudtomo_cl.inversion.relative_prior import mean_extinction
+from cloudtomo_cl.inversion.solvers.blas import with_one_blas_thread
+
+# Patches without cloud: their share among those near a cloud, and what of cloud a voxel of theirs may hold, in units
+# of the mean extinction. And from which extinction on a patch is one with cloud.
+_CLEAR_SHARE, _CLEAR_DEVIATION, _LEAST_CLOUD = 0.5, 0.02, 0.01
+# Added to every variance: rounding, and directions in which too few patches differ.
+_LEAST_VARIANCE = 1e-4
+_MEANS_ROUNDS = 8
+# Responsibilities below are left out of sums.
+_LEAST_SHARE = 1e-4
+
+
+def cloudy_patches(
+    clouds: Sequence[np.ndarray], size: tuple[int, int, int], count: int, random: np.random.Generator
+) -> np.ndarray:
+    """Patches that hold cloud, as many of each cloud, in units of its mean extinction.
+
+    Each is turned and mirrored about the vertical at random: on the ground no direction is another than the others.
+
+    Parameters
+    ----------
+    clouds : extinctions of any unit, with cubes or boxes of one shape as voxels; clear air stands around them
+    size : of a patch, as wide as long
+    count : of all, at most
+
+    Returns
+    -------
+    float32, shape (patches, values)
+
+    Raises
+    ------
+    DataError : a patch is not as wide as long, or there is no cloud
+    """
+    if size[0] != size[1]:
+        raise DataError(f"patches of {size} voxels cannot be turned: the first two numbers must be equal")
+    found = []
+    for cloud in clouds:
+        scale = mean_extinction(np.asarray(cloud, float))
+        if not scale > 0:
+            raise DataError("a cloud to learn from has no extinction: leave it out")
+        padded = np.pad((cloud / scale).astype(np.float32), [(n - 1, n - 1) for n in size])
+        patches = np.lib.stride_tricks.sliding_window_view(padded, size)
+        places = np.argwhere(patches.max(axis=(3, 4, 5)) > _LEAST_CLOUD)
+        chosen = places[random.choice(len(places), min(count // len(clouds), len(places)), replace=False)]
+        found.append(_turned(patches[tuple(chosen.T)], random).reshape(len(chosen), -1))
+    return np.concatenate(found)
+
+
+def _turned(patches: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    result = patches.copy()
+    for axes in ((2, 1, 3), None, None):
+        chosen = random.random(len(patches)) < 0.5
+        axis = 1 if axes is None else 2
+        result[chosen] = result[chosen].transpose(0, *axes) if axes else np.flip(result[chosen], axis)
+    return result
+
+
+@with_one_blas_thread
+def fitted_mixture(
+    patches: np.ndarray, size: tuple[int, int, int], components: int, rounds: int, random: np.random.Generator
+) -> Mixture:
+    """The mixture of most likelihood, by expectation maximisation (Dempster, Laird and Rubin 1977), begun by k-means;
+    and a first component for patches without cloud.
+
+    Parameters
+    ----------
+    patches : float32, shape (patches, values)
+    components : of patches with cloud
+    rounds : of expectation and maximisation
+
+    Raises
+    ------
+    DataError : fewer patches than components
+    """
+    if len(patches) < components:
+        raise DataError(f"{len(patches)} patches are too few for {components} components: give more or larger clouds")
+    shares = np.zeros((len(patches), components), np.float32)
+    shares[np.arange(len(patches)), _clusters(patches, components, random)] = 1.0
+    for _ in range(rounds):
+        weights, means, covariances = _most_likely(patches, shares)
+        shares = _shares(patches, weights, means, covariances)
+    weights, means, covariances = _most_likely(patches, shares)
+    values = math.prod(size)
+    return Mixture(
+        size,
+        np.concatenate([[_CLEAR_SHARE], (1 - _CLEAR_SHARE) * weights]),
+        np.concatenate([np.zeros((1, values)), means]),
+        np.concatenate([_CLEAR_DEVIATION**2 * np.eye(values)[None], covariances]),
+    )
+
+
+def _clusters(patches: np.ndarray, components: int, random: np.random.Generator) -> np.ndarray:
+    """A cluster of each patch, by k-means from patches drawn at random."""
+    centres = patches[random.choice(len(patches), components, replace=False)]
+    for _ in range(_MEANS_ROUNDS):
+        nearest = ((centres**2).sum(axis=1) - 2 * patches @ centres.T).argmin(axis=1)
+        for cluster in range(components):
+            if (nearest == cluster).any():
+                centres[cluster] = patches[nearest == cluster].mean(axis=0)
+    return nearest
+
+
+def _most_likely(patches: np.ndarray, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weights, means and covariances of components that have these shares of patches."""
+    counts = shares.sum(axis=0, dtype=np.float64) + 1e-9
+    means = (shares.T @ patches).astype(float) / counts[:, None]
+    covariances = np.empty((len(counts), patches.shape[1], patches.shape[1]))
+    for component, count in enumerate(counts):
+        own = shares[:, component] > _LEAST_SHARE
+        away = (patches[own] - means[component].astype(np.float32)) * np.sqrt(shares[own, component])[:, None]
+        covariances[component] = away.T @ away / count
+    covariances += _LEAST_VARIANCE * np.eye(patches.shape[1])
+    return counts / counts.sum(), means, covariances
+
+
+def _shares(patches: np.ndarray, weights: np.ndarray, means: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+    """The probability of each component given each patch, shape (patches, components)."""
+    logarithms = np.empty((len(patches), len(weights)), np.float32)
+    for component, mean in enumerate(means):
+        root = np.linalg.cholesky(covariances[component])
+        white = (patches - mean.astype(np.float32)) @ np.linalg.inv(root).T.astype(np.float32)
+        constant = np.log(weights[component]) - np.log(np.diag(root)).sum()
+        logarithms[:, component] = constant - 0.5 * np.einsum("ij,ij->i", white, white)
+    logarithms -= logarithms.max(axis=1, keepdims=True)
+    np.exp(logarithms, out=logarithms)
+    return logarithms / logarithms.sum(axis=1, keepdims=True)

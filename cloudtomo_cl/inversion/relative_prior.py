@@ -1,0 +1,74 @@
+"""Priors that measure a cloud by its own mean extinction: they know of no cloud's brightness."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cloudtomo_cl.inversion.bound_prior import BoundPrior, FrozenPrior, NoiseUnits
+
+
+def mean_extinction(extinction: np.ndarray) -> float:
+    """s = sum b^2 / sum b, the mean of an extinction over the cloud's optical mass, km^-1; 0 where there is no cloud.
+
+    It follows neither from how much clear air there is, nor from a threshold.
+    """
+    total = float(np.sum(extinction))
+    return float(np.sum(np.square(extinction))) / total if total > 0 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class RelativePrior:
+    """A prior W of b / scale, with the scale f = s(b) / reference of the extinction itself.
+
+    As it stands it is the function W(b / f(b)) of the extinction alone, with its exact gradient. A solver's step
+    minimises with the scale `frozen` where it starts from: a scale that follows within a step would reward
+    peaks, since a peak raises the scale and all else then looks smoother (docs/decisions/relative-priors.md).
+
+    Attributes
+    ----------
+    inner : W
+    reference : km^-1, the mean extinction s that W's numbers are said for
+    """
+
+    inner: BoundPrior
+    reference: float
+
+    def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
+        factor = self._factor(extinction)
+        value, slope = self.inner.value_and_gradient(extinction / factor, units)
+        total = float(np.sum(extinction))
+        if not total > 0:
+            return value, slope / factor
+        mean = mean_extinction(extinction)
+        along = float(slope @ extinction) / factor / mean
+        return value, slope / factor - along * (2 * extinction - mean) / total
+
+    def frozen(self, extinction: np.ndarray, iteration: int) -> FrozenPrior:
+        factor = self._factor(extinction)
+        return ScaledPrior(self.inner.frozen(extinction / factor, iteration), factor)
+
+    def _factor(self, extinction: np.ndarray) -> float:
+        return mean_extinction(extinction) / self.reference or 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class ScaledPrior:
+    """A prior of b / factor, for one step."""
+
+    inner: FrozenPrior
+    factor: float
+
+    def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
+        value, slope = self.inner.value_and_gradient(extinction / self.factor, units)
+        return value, slope / self.factor
+
+    def curvature(self, extinction: np.ndarray, units: NoiseUnits) -> np.ndarray | float:
+        return self.inner.curvature(extinction / self.factor, units) / self.factor**2
+
+    def stiffness(self, columns: np.ndarray, units: NoiseUnits) -> np.ndarray:
+        return self.inner.stiffness(columns, units) / self.factor**2
+
+    def perturbation(self, random: np.random.Generator, units: NoiseUnits) -> np.ndarray:
+        return self.inner.perturbation(random, units) / self.factor

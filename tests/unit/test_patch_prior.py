@@ -1,0 +1,230 @@
+"""The patch prior: mixtures of Gaussians, the function made of them, and its scale."""
+
+import numpy as np
+import pytest
+
+import cloudtomo_cl as ct
+from cloudtomo_cl.inversion.bound_prior import NoiseUnits
+from cloudtomo_cl.inversion.mixture import Mixture, MixtureFile, read_mixtures
+from cloudtomo_cl.inversion.mixture_fit import cloudy_patches, fitted_mixture
+from cloudtomo_cl.inversion.patch_prior import BoundPatches, voxels_of_cloud
+from cloudtomo_cl.inversion.patches import Patches
+from cloudtomo_cl.inversion.priors import PatchPrior, Prior, bound_prior
+from cloudtomo_cl.inversion.relative_prior import RelativePrior, mean_extinction
+
+SIZE = (3, 3, 3)
+UNITS = NoiseUnits(0.5, 0.8, 0.7)
+
+
+@pytest.fixture
+def random():
+    return np.random.default_rng(5)
+
+
+@pytest.fixture
+def voxels(random):
+    mask = random.random((7, 6, 8)) < 0.8
+    return ct.Voxels(ct.Grid(mask.shape, (0.02, 0.02, 0.04)), mask)
+
+
+@pytest.fixture
+def cloud(voxels, random):
+    """Extinctions of the mask's voxels, a third of them clear."""
+    return 30 * random.random(len(voxels)) * (random.random(len(voxels)) < 0.67)
+
+
+def mixture_of(random, components=3):
+    """One of clear patches and some others, not alike."""
+    values = int(np.prod(SIZE))
+    roots = 0.2 * random.normal(size=(components, values, values)) / values**0.5
+    covariances = roots @ roots.transpose(0, 2, 1) + 0.01 * np.eye(values)
+    covariances[0] = 0.02**2 * np.eye(values)
+    means = random.random((components, 1)) * np.ones(values)
+    means[0] = 0
+    return Mixture(SIZE, np.full(components, 1 / components), means, covariances)
+
+
+@pytest.fixture
+def mixture(random):
+    return mixture_of(random)
+
+
+def bound(voxels, mixture, strength=1.3, noise=0.05):
+    return BoundPatches(Patches(voxels, SIZE), mixture, strength, noise)
+
+
+def by_hand(voxels, mixture, u, strength=1.3, noise=0.05):
+    """The value, patch by patch with NumPy's inverses and determinants."""
+    mask = np.pad(voxels.mask, 1, mode="edge")
+    full = np.pad(voxels.on_grid(u).astype(float), 1, mode="edge")
+    covariances = mixture.covariances + noise**2 * np.eye(full[:3, :3, :3].size)
+    total = 0.0
+    for corner in np.ndindex(voxels.mask.shape):
+        box = tuple(slice(n, n + 3) for n in corner)
+        if not mask[box].any():
+            continue
+        costs = [
+            0.5 * away @ np.linalg.solve(covariance, away) + 0.5 * np.linalg.slogdet(covariance)[1] - np.log(weight)
+            for away, covariance, weight in zip(full[box].ravel() - mixture.means, covariances, mixture.weights)
+        ]
+        clear = 0.5 * np.linalg.slogdet(covariances[0])[1] - np.log(mixture.weights[0])
+        total += min(costs) - clear
+    return strength / 27 * total
+
+
+def test_the_value_is_the_sum_over_patches_that_hold_a_voxel_of_the_mask(voxels, mixture, cloud):
+    value, _ = bound(voxels, mixture).value_and_gradient(cloud / 20, UNITS)
+    assert value == pytest.approx(UNITS.weighted * by_hand(voxels, mixture, cloud / 20), rel=1e-4)
+
+
+def difference_quotient(function, x, direction, step):
+    return (function(x + step * direction)[0] - function(x - step * direction)[0]) / (2 * step)
+
+
+@pytest.mark.parametrize("of", ["function", "step"])
+def test_the_gradient_is_that_of_the_value(voxels, mixture, cloud, random, of):
+    prior = RelativePrior(bound(voxels, mixture), 1.0)
+    used = prior if of == "function" else prior.frozen(cloud, 3)
+    direction = random.random(len(voxels))
+    quotient = difference_quotient(lambda x: used.value_and_gradient(x, UNITS), cloud, direction, 1e-2)
+    assert used.value_and_gradient(cloud, UNITS)[1] @ direction == pytest.approx(quotient, rel=2e-3)
+
+
+def test_a_step_begins_at_a_share_of_the_functions_value_when_the_noise_has_fallen(voxels, mixture, cloud):
+    prior = RelativePrior(bound(voxels, mixture), 1.0)
+    share = voxels_of_cloud(cloud) / (voxels_of_cloud(cloud) + 200)
+    assert prior.frozen(cloud, 99).value_and_gradient(cloud, UNITS)[0] == pytest.approx(
+        share * prior.value_and_gradient(cloud, UNITS)[0]
+    )
+
+
+def test_a_cloud_of_equal_voxels_has_as_many():
+    assert voxels_of_cloud(np.repeat([0.0, 7.0], [5, 9])) == pytest.approx(9)
+    assert voxels_of_cloud(np.zeros(4)) == 0
+
+
+def test_the_steps_stiffness_is_the_second_derivative_of_its_value(voxels, mixture, cloud, random):
+    step = RelativePrior(bound(voxels, mixture), 1.0).frozen(cloud, 2)
+    direction = random.random(len(voxels))
+    change = step.value_and_gradient(cloud + direction, UNITS)[1] - step.value_and_gradient(cloud, UNITS)[1]
+    np.testing.assert_allclose(step.stiffness(direction[:, None], UNITS)[:, 0], change, rtol=1e-3, atol=1e-5)
+
+
+def test_perturbations_have_the_stiffness_as_covariance(voxels, mixture, cloud):
+    """Along one direction, of 2000 draws: the ratio of variances has a standard error of sqrt(2/2000), 3 %."""
+    step = RelativePrior(bound(voxels, mixture), 1.0).frozen(cloud, 2)
+    random = np.random.default_rng(3)
+    direction = random.random(len(voxels))
+    draws = [step.perturbation(random, UNITS) @ direction for _ in range(2000)]
+    expected = UNITS.both * direction @ step.stiffness(direction[:, None], UNITS)[:, 0]
+    assert np.var(draws) == pytest.approx(expected, rel=0.13)
+
+
+@pytest.mark.parametrize(
+    "prior", [PatchPrior(), Prior(monotonicity=1.0, reference=46.0)], ids=["patches", "smoothness"]
+)
+@pytest.mark.parametrize("factor", [0.2, 5.0])
+def test_a_cloud_and_a_brighter_one_of_its_shape_are_as_likely(voxels, cloud, device, prior, factor):
+    own = bound_prior(prior, voxels, device)
+    value, gradient = own.value_and_gradient(cloud, UNITS)
+    scaled_value, scaled = own.value_and_gradient(factor * cloud, UNITS)
+    assert scaled_value == pytest.approx(value, rel=1e-4)
+    np.testing.assert_allclose(factor * scaled, gradient, rtol=1e-3, atol=1e-4 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize(
+    "prior", [PatchPrior(), Prior(monotonicity=1.0, reference=46.0)], ids=["patches", "smoothness"]
+)
+def test_a_step_from_a_brighter_cloud_of_the_same_shape_is_as_stiff_for_its_brightness(voxels, cloud, device, prior):
+    own, change = bound_prior(prior, voxels, device), np.ones((len(voxels), 1))
+    stiffness, scaled = (own.frozen(by * cloud, 5).stiffness(change, UNITS) for by in (1.0, 5.0))
+    np.testing.assert_allclose(25 * scaled, stiffness, rtol=1e-3, atol=1e-4 * np.abs(stiffness).max())
+
+
+def test_the_numbers_of_a_prior_without_a_reference_hold_as_they_stand(voxels, cloud, device):
+    given = bound_prior(Prior(sparsity=0.0, reference=0.0), voxels, device)
+    value, scaled = (given.value_and_gradient(by * cloud, UNITS)[0] for by in (1.0, 2.0))
+    assert scaled == pytest.approx(4 * value, rel=1e-5)
+
+
+def test_a_prior_at_its_reference_is_the_one_as_its_numbers_stand(voxels, cloud, device):
+    reference = mean_extinction(cloud)
+    values = [
+        bound_prior(Prior(monotonicity=0.5, reference=number), voxels, device).value_and_gradient(cloud, UNITS)[0]
+        for number in (0.0, reference)
+    ]
+    assert values[1] == pytest.approx(values[0], rel=1e-6)
+
+
+def test_clear_air_costs_nothing(voxels, device):
+    value, gradient = bound_prior(PatchPrior(), voxels, device).value_and_gradient(np.zeros(len(voxels)), UNITS)
+    assert value == 0 and not gradient.any()
+
+
+def test_the_mean_extinction_is_that_over_the_mass():
+    assert mean_extinction(np.array([0.0, 10.0, 30.0])) == pytest.approx(25.0)
+    assert mean_extinction(np.zeros(3)) == 0.0
+
+
+def test_denoising_with_one_gaussian_is_the_posterior_mean(random):
+    mixture = mixture_of(random, components=2)
+    noise = 0.3
+    patches = (0.9 + 0.5 * random.random((20, 27))).astype(np.float32)  # far from clear
+    gain = mixture.covariances[1] @ np.linalg.inv(mixture.covariances[1] + noise**2 * np.eye(27))
+    expected = mixture.means[1] + (patches - mixture.means[1]) @ gain.T
+    np.testing.assert_allclose(mixture.denoised(patches, noise), expected, atol=1e-5)
+
+
+def test_the_likeliest_component_is_that_of_the_largest_density(mixture, random):
+    from scipy.stats import multivariate_normal
+
+    patches = random.random((50, 1)).astype(np.float32) + 0.1 * random.normal(size=(50, 27)).astype(np.float32)
+    densities = [
+        np.log(weight) + multivariate_normal(mean, covariance + 0.1**2 * np.eye(27)).logpdf(patches)
+        for weight, mean, covariance in zip(mixture.weights, mixture.means, mixture.covariances)
+    ]
+    np.testing.assert_array_equal(mixture.likeliest(patches, 0.1), np.argmax(densities, axis=0))
+
+
+def test_a_mixture_is_found_again_from_its_patches(random):
+    """Means to 5 standard errors of 4000 patches of deviation 0.1, weights to 5 of theirs."""
+    truth = {0.3: 0.25, 1.0: 0.75}
+    which = random.random(4000) < 0.25
+    patches = np.where(which, 0.3, 1.0)[:, None] + 0.1 * random.normal(size=(4000, 27))
+    found = fitted_mixture(patches.astype(np.float32), SIZE, 2, 10, random)
+    for mean, weight in zip(found.means[1:], found.weights[1:]):
+        near = min(truth, key=lambda value: abs(value - mean.mean()))
+        assert np.abs(mean - near).max() < 5 * 0.1 / (4000 * truth[near]) ** 0.5
+        assert 2 * weight == pytest.approx(truth[near], abs=5 * (0.25 * 0.75 / 4000) ** 0.5)
+
+
+def test_patches_to_learn_from_do_not_follow_the_clouds_brightness(random):
+    clouds = [ct.cumulus(ct.Grid((12, 12, 12), (0.05,) * 3), 3)]
+    patches, brighter = (
+        cloudy_patches([by * cloud for cloud in clouds], SIZE, 100, np.random.default_rng(2)) for by in (1.0, 8.0)
+    )
+    np.testing.assert_allclose(brighter, patches, rtol=1e-5)
+
+
+def test_a_file_gives_back_the_mixture_for_the_shape_of_voxels(tmp_path, mixture, random):
+    MixtureFile((1.0, 2.0), (mixture_of(random), mixture)).write(tmp_path / "prior.npz")
+    found = read_mixtures(tmp_path / "prior.npz").of_spacing((0.02, 0.02, 0.038))
+    np.testing.assert_allclose(found.covariances, mixture.covariances, rtol=1e-6)
+    np.testing.assert_allclose(found.means, mixture.means, rtol=1e-6)
+
+
+@pytest.mark.parametrize("content", [None, b"no archive"], ids=["absent", "damaged"])
+def test_a_file_without_mixtures_is_refused(tmp_path, content):
+    path = tmp_path / "prior.npz"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ct.CloudtomoError, match="prior.npz: "):
+        read_mixtures(path)
+
+
+def test_the_mixtures_that_come_with_the_package_know_several_shapes_of_voxels():
+    shipped = read_mixtures()
+    assert len(shipped.aspects) >= 4 and shipped.mixtures[0].size == (5, 5, 3)
+    for mixture in shipped.mixtures:
+        assert mixture.weights.sum() == pytest.approx(1, abs=1e-5)
+        assert np.linalg.eigvalsh(mixture.covariances).min() > 0
