@@ -13,6 +13,7 @@ from .files.measurements import (
     write_rays,
 )
 from .files.phase import read_droplet_table, read_phase_function, write_phase_function
+from .files.vti import write_vti
 from .inversion.carving import carve
 from .inversion.linear_model import LinearModel
 from .inversion.priors import Prior, Regulariser
@@ -111,4 +112,5 @@ __all__ = [
     "write_measurements",
     "write_phase_function",
     "write_rays",
+    "write_vti",
 ]

@@ -156,7 +156,7 @@ def _variables(fluxes: Fluxes) -> dict[str, Any]:
     variables = {}
     for name, text in _NAMES.items():
         estimate = getattr(fluxes, name)
-        variables[name] = (("x", "y"), estimate.value, {"long_name": text, "units": "W m-2"})
+        variables[name] = (("y", "x"), estimate.value.T, {"long_name": text, "units": "W m-2"})
         error = {"long_name": f"standard error of {name}", "units": "W m-2"}
-        variables[f"{name}_standard_error"] = (("x", "y"), estimate.standard_error, error)
+        variables[f"{name}_standard_error"] = (("y", "x"), estimate.standard_error.T, error)
     return variables

@@ -17,8 +17,9 @@ from cloudtomo_cl.commands.run_folder import RunFolder
 from cloudtomo_cl.errors import DataError, DeviceError, SettingsError
 from cloudtomo_cl.files.extinction import read_extinction
 from cloudtomo_cl.files.measurements import read_measurements
-from cloudtomo_cl.files.netcdf import load_dataset
+from cloudtomo_cl.files.netcdf import AXES, load_dataset
 from cloudtomo_cl.files.truth import read_truth
+from cloudtomo_cl.files.vti import write_vti
 from cloudtomo_cl.files.whole import written_whole
 from cloudtomo_cl.opencl.device import choose_device
 from cloudtomo_cl.report import plots
@@ -94,6 +95,26 @@ def make_report(run: RunFolder, quiet: bool) -> None:
     if not quiet:
         print(f"{run.figures}: {', '.join(figures)}, each as .png and .pdf")
         print(f"{run.report_file}: open it in a browser")
+
+
+def export_vti(run: RunFolder, path: Path, quiet: bool) -> None:
+    """Writes the recovered cloud for viewers: extinction, its standard error, the mask, and the truth if it is known.
+
+    Raises
+    ------
+    DataError : a file of the folder is damaged, or the new one cannot be written
+    """
+    shown = _read(run)
+    quantities = {"extinction": (shown.extinction, "km-1")}
+    if shown.truth is not None:
+        quantities["true_extinction"] = (shown.truth, "km-1")
+    if "extinction_standard_error" in shown.result:
+        error = shown.result["extinction_standard_error"].transpose(*AXES).values
+        quantities["extinction_standard_error"] = (error, "km-1")
+    quantities["mask"] = (run.read_reconstruction()[2], "1")
+    write_vti(path, shown.grid, quantities)
+    if not quiet:
+        print(f"{path}: open it in ParaView or another viewer of VTK's files")
 
 
 def _read(run: RunFolder) -> _Shown:
@@ -194,7 +215,7 @@ def _numbers(shown: _Shown) -> dict[str, str]:
     if isinstance(device, dict) and "name" in device:
         numbers["device"] = str(device["name"])
     if "extinction_standard_error" in shown.result and (extinction > _CLOUD).any():
-        error = np.median(shown.result["extinction_standard_error"].values[extinction > _CLOUD])
+        error = np.median(shown.result["extinction_standard_error"].transpose(*AXES).values[extinction > _CLOUD])
         numbers["typical standard error in cloud"] = f"{error:.3g} km⁻¹"
     return numbers
 

@@ -27,6 +27,8 @@ from cloudtomo_cl.scene.grid import Grid
 if TYPE_CHECKING:
     import xarray as xr
 
+# The order of what is written: that of the CF conventions, which viewers take for granted.
+WRITTEN_AXES = AXES[::-1]
 # What extinctions without units may be, largest of a cloud, km^-1: less is likely one in m^-1.
 PLAUSIBLE_EXTINCTION = (0.5, 2000.0)
 PLAUSIBLE_RADIUS = (0.5, 500.0)
@@ -222,7 +224,7 @@ def extinction_dataset(
     effective_radius: np.ndarray | None = None,
     name: str = "the dataset",
 ) -> xr.Dataset:
-    """extinction(x, y, z) with its voxel centres and their bounds, after the CF conventions.
+    """extinction(z, y, x) with its voxel centres and their bounds, after the CF conventions.
 
     Parameters
     ----------
@@ -251,9 +253,10 @@ def extinction_variables(
         raise DataError(f"{path}: extinction has shape {extinction.shape}, the grid {grid.shape}")
     if not np.isfinite(extinction).all():
         raise DataError(f"{path}: extinction is not finite everywhere: it is not written")
+    # Without the attribute axis for x and y: VTK's reader (ParaView) takes them for longitude and latitude then.
     standard = {
-        "x": {"standard_name": "projection_x_coordinate", "long_name": "voxel centre along x (east)", "axis": "X"},
-        "y": {"standard_name": "projection_y_coordinate", "long_name": "voxel centre along y (north)", "axis": "Y"},
+        "x": {"standard_name": "projection_x_coordinate", "long_name": "voxel centre along x (east)"},
+        "y": {"standard_name": "projection_y_coordinate", "long_name": "voxel centre along y (north)"},
         "z": {"standard_name": "height", "long_name": "voxel centre along z (up)", "axis": "Z", "positive": "up"},
     }
     coordinates: dict[str, Any] = {}
@@ -267,9 +270,9 @@ def extinction_variables(
         "long_name": "cloud volume extinction coefficient",
         "units": "km-1",
     }
-    variables: dict[str, Any] = {"extinction": (AXES, extinction.astype(np.float32), described)}
+    variables: dict[str, Any] = {"extinction": (WRITTEN_AXES, extinction.T.astype(np.float32), described)}
     if effective_radius is not None:
         described = {"long_name": "effective radius of the cloud's droplets", "units": "um"}
         described["standard_name"] = "effective_radius_of_cloud_liquid_water_particles"
-        variables["effective_radius"] = (AXES, filled(effective_radius).astype(np.float32), described)
+        variables["effective_radius"] = (WRITTEN_AXES, filled(effective_radius).T.astype(np.float32), described)
     return variables, coordinates
