@@ -3,7 +3,18 @@ from .clouds.generate import cumulus
 from .clouds.mie import droplet_table
 from .clouds.readers import ReadingOptions, read_cloud
 from .clouds.volume import CloudVolume
-from .errors import CloudtomoError
+from .errors import (
+    AuditError,
+    BuildError,
+    CloudtomoError,
+    DataError,
+    DeviceError,
+    Interrupted,
+    InvalidSettingError,
+    MissingPackageError,
+    SettingsError,
+    TransportError,
+)
 from .files.extinction import extinction_dataset, read_extinction, write_extinction
 from .files.measurements import (
     measurements_dataset,
@@ -15,6 +26,7 @@ from .files.measurements import (
 from .files.phase import read_droplet_table, read_phase_function, write_phase_function
 from .files.vti import write_vti
 from .inversion.carving import carve
+from .inversion.checkpoint import Checkpoint, read_checkpoint
 from .inversion.linear_model import LinearModel
 from .inversion.priors import Prior, Regulariser
 from .inversion.problem import Problem
@@ -41,6 +53,8 @@ from .scene.sensors import (
     RadiometerView,
     RayView,
 )
+from .transport.adaptive import render_to_error
+from .transport.audit import Audit
 from .transport.flux import Fluxes, FluxOperator
 from .transport.jacobian import Jacobian
 from .transport.radiance import RadianceOperator, Rendering
@@ -48,10 +62,16 @@ from .transport.radiance import RadianceOperator, Rendering
 __all__ = [
     "Adam",
     "Air",
+    "Audit",
+    "AuditError",
     "Boundary",
+    "BuildError",
+    "Checkpoint",
     "Cloud",
     "CloudVolume",
     "CloudtomoError",
+    "DataError",
+    "DeviceError",
     "DoubleHenyeyGreenstein",
     "DropletTable",
     "FluxOperator",
@@ -59,11 +79,14 @@ __all__ = [
     "GaussNewton",
     "Grid",
     "HenyeyGreenstein",
+    "Interrupted",
+    "InvalidSettingError",
     "IterationRecord",
     "Jacobian",
     "LinearModel",
     "MISR_ANGLES",
     "Measurements",
+    "MissingPackageError",
     "Noise",
     "OrthographicView",
     "PerspectiveView",
@@ -81,6 +104,7 @@ __all__ = [
     "RingOfViews",
     "SGD",
     "Scene",
+    "SettingsError",
     "Solver",
     "Stage",
     "StringOfScans",
@@ -88,6 +112,7 @@ __all__ = [
     "Sun",
     "Surface",
     "TabulatedPhaseFunction",
+    "TransportError",
     "Voxels",
     "automatic_stages",
     "carve",
@@ -101,6 +126,7 @@ __all__ = [
     "fisheye_rays",
     "list_devices",
     "measurements_dataset",
+    "read_checkpoint",
     "read_cloud",
     "read_droplet_table",
     "read_extinction",
@@ -108,6 +134,7 @@ __all__ = [
     "read_phase_function",
     "read_rays",
     "reconstruct",
+    "render_to_error",
     "write_extinction",
     "write_measurements",
     "write_phase_function",

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cloudtomo_cl.commands import options, stopping
-from cloudtomo_cl.errors import DataError, SettingsError, printable
+from cloudtomo_cl.errors import DataError, InvalidSettingError, SettingsError, printable
 
 if TYPE_CHECKING:
     from cloudtomo_cl.clouds.volume import CloudVolume
@@ -167,14 +167,12 @@ def _generated(kind: str, shape: list[int] | None, spacing: list[float] | None, 
 
 
 def _grid(shape: list[int], spacing: list[float] | None) -> Grid:
-    from pydantic import ValidationError
-
     from cloudtomo_cl.scene.grid import Grid
 
     try:
         return Grid(shape=tuple(shape), spacing=tuple(spacing or (1.0, 1.0, 1.0)))  # type: ignore[arg-type]
-    except ValidationError as error:
-        first = error.errors()[0]
+    except InvalidSettingError as error:
+        first = error.details[0]
         message = first["msg"].replace("Input should be", "must be")
         raise SettingsError(f"--{first['loc'][0]}: {message}, is {first['input']}") from None
 

@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import ValidationError
 
-from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.errors import DataError, InvalidSettingError
 from cloudtomo_cl.files.axes import TOLERANCE, Axis, read_axis
 from cloudtomo_cl.files.missing import filled, require_present, undeclared_fill
 from cloudtomo_cl.files.netcdf import (
@@ -119,8 +118,8 @@ def read_extinction(source: Source) -> tuple[Grid, np.ndarray]:
         require_plausible(path, "extinction", float(values.max()), "km-1", PLAUSIBLE_EXTINCTION)
     try:
         return Grid(shape=extinction.shape, spacing=spacing, origin=origin), extinction
-    except ValidationError as error:
-        raise DataError(f"{path}: impossible grid: {error.errors()[0]['msg']} (z must be at least 0)") from None
+    except InvalidSettingError as error:
+        raise DataError(f"{path}: impossible grid: {error.details[0]['msg']} (z must be at least 0)") from None
 
 
 def check_extinction(path: Any, name: str, values: np.ndarray) -> None:

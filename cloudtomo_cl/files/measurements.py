@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from cloudtomo_cl.errors import DataError, SettingsError
+from cloudtomo_cl.errors import DataError, InvalidSettingError, SettingsError
 from cloudtomo_cl.files.axes import components_in_order, in_order
 from cloudtomo_cl.files.extinction import extinction_variables
 from cloudtomo_cl.files.missing import undeclared_fill
@@ -366,12 +366,12 @@ def read_rays(path: str | os.PathLike[str]) -> RayView:
         fields["pixels"] = tuple(np.ravel(dataset.attrs.get(name, 1))[0] for name in ("image_width", "image_height"))
     try:
         return RayView(**fields)
-    except ValidationError as error:
-        raise DataError(f"{path}: rays are not possible: {_first_error(error)}") from None
+    except InvalidSettingError as error:
+        raise DataError(f"{path}: rays are not possible: {_first_error(error.details)}") from None
 
 
-def _first_error(error: ValidationError) -> str:
-    first = error.errors()[0]
+def _first_error(errors: Sequence[Any]) -> str:
+    first = errors[0]
     where = ".".join(map(str, first["loc"]))
     return f"{where}: {first['msg']}" if where else str(first["msg"])
 
@@ -416,5 +416,5 @@ def _views(path: Any, dataset: xr.Dataset, heights: np.ndarray, widths: np.ndarr
         try:
             views.append(adapter.validate_python(table))
         except ValidationError as error:
-            raise DataError(f"{path}: view {index} is not possible: {_first_error(error)}") from None
+            raise DataError(f"{path}: view {index} is not possible: {_first_error(error.errors())}") from None
     return tuple(views)

@@ -11,6 +11,7 @@ from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion.voxels import Voxels
+from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, device_errors
 from cloudtomo_cl.renamed import renamed_arguments
@@ -20,6 +21,7 @@ from cloudtomo_cl.scene.scene import NotNegative, Positive
 SMOOTHNESS_CURVATURE = 27 / 26
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Prior:
     """R = N (smoothness / 2 ||A b||^2 + monotonicity R_mon) + n sparsity R_sparsity, b the extinction in km^-1.

@@ -12,6 +12,8 @@ import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.messages import answering
+
 # A table's integral may be off by this much: rounded values and coarse angles pass, another
 # normalisation does not.
 NORMALISATION_TOLERANCE = 0.01
@@ -44,6 +46,7 @@ def _henyey_greenstein(cosine: np.ndarray | float, g: float) -> np.ndarray:
     return (1 - g**2) / (4 * np.pi * (1 + g**2 - 2 * g * np.asarray(cosine, dtype=np.float64)) ** 1.5)
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class HenyeyGreenstein:
     """Henyey and Greenstein 1941.
@@ -62,6 +65,7 @@ class HenyeyGreenstein:
         return _henyey_greenstein(cosine, self.g)
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class DoubleHenyeyGreenstein:
     """A forward and a backward lobe (Irvine 1965): the sum of two of Henyey and Greenstein's.
@@ -88,6 +92,7 @@ class DoubleHenyeyGreenstein:
         return self.forward_fraction * forward + (1 - self.forward_fraction) * backward
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class TabulatedPhaseFunction:
     """A phase function from a table, for instance of Mie's theory, for one or several droplet radii.

@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, WithJsonSchema, model_validator
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.messages import answering
 from cloudtomo_cl.scene.grid import Count, Grid, Length, Triple
 from cloudtomo_cl.scene.scene import Angle, Scene, direction
 
@@ -110,6 +111,7 @@ class AffineView(ABC):
             return u if moves[0] else u / depth, v if moves[1] else v / depth, depth
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class PerspectiveView(AffineView):
     """A pinhole camera, on an aircraft or on the ground.
@@ -162,6 +164,7 @@ class PerspectiveView(AffineView):
         return origin, np.array([corner, width * right, -height * up])
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class OrthographicView(AffineView):
     """Parallel rays, as from a satellite far away.
@@ -254,6 +257,7 @@ class OrthographicView(AffineView):
         return centre + max(void, 0.0) * sight
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class PushBroomView(AffineView):
     """A line scanner on a straight and level flight track: perspective across it, parallel along it.
@@ -301,6 +305,7 @@ class PushBroomView(AffineView):
         return origin, np.array([sight - width / 2 * right, width * right, np.zeros(3)])
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class RadiometerView(AffineView):
     """The radiance that leaves the domain's top, or reaches its bottom, in one direction.
@@ -364,6 +369,7 @@ RowsOfThree = Annotated[
 ]
 
 
+@answering
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
 class RayView:
     """Arbitrary rays, one for each pixel: for sensors that no other view describes.

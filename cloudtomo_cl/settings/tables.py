@@ -32,6 +32,7 @@ from cloudtomo_cl.inversion.priors import Prior
 from cloudtomo_cl.inversion.solvers.choice import SolverTable
 from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.inversion.stages import Stage
+from cloudtomo_cl.messages import error_text, lines_of
 from cloudtomo_cl.scene.formations import RingOfViews, StringOfScans, StringOfViews
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.noise import Noise
@@ -45,7 +46,6 @@ from cloudtomo_cl.scene.sensors import (
     RayView,
     View,
 )
-from cloudtomo_cl.settings.messages import error_text, lines_of
 from cloudtomo_cl.settings.old_keys import refuse_old_keys
 from cloudtomo_cl.settings.overrides import with_overrides
 from cloudtomo_cl.settings.stored import scene_of_tables
