@@ -32,6 +32,7 @@ from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.inversion.solvers.protocol import Solver
 from cloudtomo_cl.inversion.solvers.state import restored
 from cloudtomo_cl.inversion.stages import Stage, stages_of
+from cloudtomo_cl.inversion.uncertainty import DRAWS
 from cloudtomo_cl.memory import shape_text
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
@@ -88,7 +89,7 @@ def reconstruct(
     checkpoint_interval: float = 60.0,
     resume: str | os.PathLike[str] | Checkpoint | None = None,
     stop: Callable[[], bool] | None = None,
-    uncertainty: int = 0,
+    uncertainty: int = DRAWS,
 ) -> Reconstruction:
     """Recovers extinction from images.
 
@@ -111,8 +112,8 @@ def reconstruct(
         run had never been stopped, but for the history's seconds. Only the last stage may have more iterations: they
         are done unless its cost has settled; with fewer than were done already nothing more is
     stop : asked after every iteration; True ends the run with what it has, checkpoint included
-    uncertainty : draws that the standard error is made of, at the end; 0: none. Known with Gauss-Newton,
-        when the last stage was reached, the images' noise is known, and nobody asked to stop
+    uncertainty : draws that the standard error is made of, at the end, in the time of an iteration or two; 0: none.
+        Known with Gauss-Newton, when the last stage was reached, the images' noise is known, and nobody asked to stop
 
     Raises
     ------

@@ -33,7 +33,9 @@ def problem(device):
 def recover(problem, device, **options):
     scene, measurements, truth = problem
     return ct.reconstruct(
-        scene, measurements, **{"stages": STAGES, "mask": truth > 0, "device": device, "truth": truth, **options}
+        scene,
+        measurements,
+        **{"stages": STAGES, "mask": truth > 0, "device": device, "truth": truth, "uncertainty": 0, **options},
     )
 
 
