@@ -3,6 +3,7 @@ from .clouds.generate import cumulus
 from .clouds.mie import droplet_table
 from .clouds.readers import ReadingOptions, read_cloud
 from .clouds.volume import CloudVolume
+from .commands.notebook import ProgressDisplay
 from .errors import (
     AuditError,
     BuildError,
@@ -31,13 +32,14 @@ from .inversion.linear_model import LinearModel
 from .inversion.priors import Prior, Regulariser
 from .inversion.problem import Problem
 from .inversion.reconstruct import reconstruct
-from .inversion.records import IterationRecord, Reconstruction
+from .inversion.records import History, IterationRecord, Reconstruction
 from .inversion.solvers.descent import SGD, Adam
 from .inversion.solvers.gauss_newton import GaussNewton
 from .inversion.solvers.protocol import Progress, Solver
 from .inversion.stages import Stage, automatic_stages
 from .inversion.voxels import Voxels
 from .opencl.device import choose_device, list_devices
+from .report.volume import plot_volume
 from .scene.droplets import DropletTable, extinction_from_water
 from .scene.formations import MISR_ANGLES, RingOfViews, StringOfScans, StringOfViews, fisheye_rays
 from .scene.grid import Grid
@@ -45,6 +47,7 @@ from .scene.measurements import Measurements
 from .scene.metrics import delta, epsilon
 from .scene.noise import Noise
 from .scene.phase import DoubleHenyeyGreenstein, HenyeyGreenstein, TabulatedPhaseFunction
+from .scene.poses import camera_from_pose
 from .scene.scene import Air, Boundary, Cloud, Scene, Sun, Surface
 from .scene.sensors import (
     OrthographicView,
@@ -79,6 +82,7 @@ __all__ = [
     "GaussNewton",
     "Grid",
     "HenyeyGreenstein",
+    "History",
     "Interrupted",
     "InvalidSettingError",
     "IterationRecord",
@@ -93,6 +97,7 @@ __all__ = [
     "Prior",
     "Problem",
     "Progress",
+    "ProgressDisplay",
     "PushBroomView",
     "RadianceOperator",
     "RadiometerView",
@@ -115,6 +120,7 @@ __all__ = [
     "TransportError",
     "Voxels",
     "automatic_stages",
+    "camera_from_pose",
     "carve",
     "choose_device",
     "cumulus",
@@ -126,6 +132,7 @@ __all__ = [
     "fisheye_rays",
     "list_devices",
     "measurements_dataset",
+    "plot_volume",
     "read_checkpoint",
     "read_cloud",
     "read_droplet_table",

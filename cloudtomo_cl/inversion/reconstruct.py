@@ -15,7 +15,7 @@ from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, identity_of, read_checkpoint
 from cloudtomo_cl.inversion.priors import Prior, Regulariser
 from cloudtomo_cl.inversion.problem import Problem, checked_mask
-from cloudtomo_cl.inversion.records import IterationRecord, Reconstruction
+from cloudtomo_cl.inversion.records import History, IterationRecord, Reconstruction
 from cloudtomo_cl.inversion.run import (
     LARGEST_VOXEL_DEPTH,
     KeepCheckpoints,
@@ -141,7 +141,9 @@ def reconstruct(
         error = _standard_error(problem, solver, state, uncertainty, seed)
     extinction = run.on_finest_grid(problem.on_grid(state.estimate))
     error = None if error is None else run.on_finest_grid(problem.on_grid(error))
-    return Reconstruction(scene.grid, extinction, question.mask, run.history, run.stage_ends, error, limit.reached)
+    return Reconstruction(
+        scene.grid, extinction, question.mask, History(run.history), run.stage_ends, error, limit.reached
+    )
 
 
 @device_errors("the reconstruction")

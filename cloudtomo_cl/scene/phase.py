@@ -114,6 +114,11 @@ class TabulatedPhaseFunction:
     single_scattering_albedo: Annotated[tuple[_Fraction, ...], BeforeValidator(_tuples)] | None = None
     type: Literal["table"] = "table"
 
+    def __repr__(self) -> str:
+        radii = self.effective_radius
+        text = f", effective radius {radii[0]:g} to {radii[-1]:g} um ({len(radii)})" if radii else ""
+        return f"TabulatedPhaseFunction({len(self.angle)} angles{text})"
+
     def __post_init__(self) -> None:
         angle, count = np.array(self.angle), max(len(self.effective_radius), 1)
         if angle[0] != 0 or angle[-1] != 180:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, WithJso
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.messages import answering
+from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.grid import Count, Grid, Length, Triple
 from cloudtomo_cl.scene.scene import Angle, Scene, direction
 
@@ -65,6 +66,12 @@ def line_of_sight(position: Triple, target: Triple) -> np.ndarray:
     return sight / norm
 
 
+def _card_of(view: Any) -> str:
+    """What a notebook shows of a view: its fields."""
+    given = {field.name: getattr(view, field.name) for field in fields(view) if field.name != "type"}
+    return card(type(view).__name__, {name: str(value) for name, value in given.items() if value is not None})
+
+
 class AffineView(ABC):
     """What views have in common whose rays are affine in the image coordinates."""
 
@@ -82,6 +89,9 @@ class AffineView(ABC):
         Returns two arrays of shape (3, 3): the value at (0, 0), its change over u, over v.
         Along each image coordinate either the origin changes or the direction, not both.
         """
+
+    def _repr_html_(self) -> str:
+        return _card_of(self)
 
     def with_pixels(self, pixels: Pixels) -> View:
         """The same field of view in other pixels (width, height)."""
@@ -409,6 +419,12 @@ class RayView:
         if self.pixels[0] * self.pixels[1] != count:
             raise ValueError(f"pixels are {self.pixels[0]} x {self.pixels[1]} for {count} rays: give as many of both")
         return self
+
+    def __repr__(self) -> str:
+        return f"RayView({len(self.origins)} rays, {self.pixels[0]} x {self.pixels[1]} pixels)"
+
+    def _repr_html_(self) -> str:
+        return card("RayView", {"rays": str(len(self.origins)), "pixels": f"{self.pixels[0]} x {self.pixels[1]}"})
 
     def __eq__(self, other: object) -> bool:
         return (
