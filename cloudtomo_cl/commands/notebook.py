@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from cloudtomo_cl.commands.progress import ReconstructionProgress
+from cloudtomo_cl.commands.progress import ReconstructionProgress, duration
 
 if TYPE_CHECKING:
     from cloudtomo_cl.inversion.records import IterationRecord
@@ -31,9 +31,11 @@ class ProgressDisplay:
 
     def __init__(self, time_limit: float | None = None) -> None:
         self._console = Console(markup=False, emoji=False)
-        self._progress = _quiet(time_limit) if self._console.is_jupyter else None
+        self._progress = _quiet(time_limit) if in_notebook(self._console) else None
         self._lines = ReconstructionProgress(self._console, time_limit) if self._progress is None else self._progress
-        self._shown, self._display = 0.0, None
+        self._shown = 0.0
+        self._display: Any = None
+        self._last: IterationRecord | None = None
 
     def __enter__(self) -> ProgressDisplay:
         self._lines.__enter__()
@@ -44,26 +46,27 @@ class ProgressDisplay:
         return self
 
     def __exit__(self, *details: object) -> None:
-        if self._progress is not None and self._last is not None:
-            self._update(self._last)
+        if self._progress is not None and self._display is not None and self._last is not None:
+            self._show(f"{self._progress.said(self._last)}  {duration(self._last.seconds)}", 1.0)
         self._lines.__exit__(*details)
-
-    _last: IterationRecord | None = None
 
     def __call__(self, record: IterationRecord) -> None:
         self._last = record
         self._lines(record)
         if self._progress is not None and time.monotonic() - self._shown >= _BETWEEN:
-            self._update(record)
+            done = (record.stage + (record.iteration + 1) / max(record.iterations, 1)) / max(record.stages, 1)
+            self._show(self._progress.live(), done)
 
-    def _update(self, record: IterationRecord) -> None:
+    def _show(self, text: str, done: float) -> None:
         from IPython.display import HTML
 
-        assert self._progress is not None
-        self._shown, display = time.monotonic(), self._display
-        if display is not None:
-            done = (record.stage + (record.iteration + 1) / max(record.iterations, 1)) / max(record.stages, 1)
-            display.update(HTML(_line(self._progress.live(), done)))
+        self._shown = time.monotonic()
+        self._display.update(HTML(_line(text, done)))
+
+
+def in_notebook(console: Console) -> bool:
+    """Whether what is shown goes to a notebook."""
+    return console.is_jupyter
 
 
 def _quiet(time_limit: float | None) -> ReconstructionProgress:
