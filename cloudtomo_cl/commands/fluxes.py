@@ -123,7 +123,7 @@ def deliver(job: Job, result: Result) -> None:
 def _attributes(job: Job, result: Result) -> dict[str, Any]:
     """Of the file, with the settings that repeat it."""
     return {
-        "title": "fluxes of a cloud scene",
+        "title": "fluxes of a cloud, and its extinction",
         "source": source(),
         "device": describe_device(job.operator.device),
         "versions": versions(),

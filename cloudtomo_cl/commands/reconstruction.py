@@ -315,6 +315,7 @@ def _write_result(job: Job, outcome: Outcome) -> None:
     result = outcome.result
     last = result.history[-1]
     attributes = {
+        "title": "extinction of a cloud, recovered from its images",
         "source": source(),
         "seed": job.seed,
         "device": describe_device(job.device),

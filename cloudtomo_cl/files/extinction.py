@@ -240,7 +240,7 @@ def extinction_dataset(
     import xarray as xr
 
     variables, coordinates = extinction_variables(name, grid, extinction, effective_radius)
-    return xr.Dataset(variables, coordinates, file_attributes(attributes))
+    return xr.Dataset(variables, coordinates, file_attributes("extinction of a cloud", attributes))
 
 
 def extinction_variables(
@@ -263,8 +263,7 @@ def extinction_variables(
         centres, half = grid.centres(axis), grid.spacing[axis] / 2
         coordinates[name] = (name, centres, {"units": "km", "bounds": f"{name}_bounds", **standard[name]})
         edges = np.column_stack([centres - half, centres + half])
-        described = {"units": "km", "long_name": f"faces of the voxels along {name}"}
-        coordinates[f"{name}_bounds"] = ((name, "bound"), edges, described)
+        coordinates[f"{name}_bounds"] = ((name, "bound"), edges)  # CF: without attributes of their own
     described = {
         "long_name": "cloud volume extinction coefficient",
         "units": "km-1",

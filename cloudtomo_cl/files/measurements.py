@@ -17,7 +17,7 @@ from cloudtomo_cl.files.extinction import extinction_variables
 from cloudtomo_cl.files.missing import undeclared_fill
 from cloudtomo_cl.files.netcdf import (
     Source,
-    axis_coordinate,
+    component_coordinate,
     factor_of,
     file_attributes,
     load_dataset,
@@ -148,7 +148,7 @@ def measurements_dataset(
     lists = [view for view in views if isinstance(view, RayView)]
     if lists:
         variables.update(_ray_variables(lists))
-    coordinates: dict[str, Any] = {"axis": axis_coordinate()}
+    coordinates: dict[str, Any] = {"component": component_coordinate()}
     for key, count in (("view", len(views)), ("row", rows), ("column", columns)):
         coordinates[key] = (key, np.arange(count, dtype=np.int32), {"units": "1", "long_name": f"{key}, from 0"})
     if any(measurements.calibration_errors):
@@ -160,7 +160,7 @@ def measurements_dataset(
         of_cloud = extinction_variables(name, *cloud)
         variables.update(of_cloud[0])
         coordinates.update(of_cloud[1])
-    described = file_attributes(attributes)
+    described = file_attributes("images of a cloud, and the views that they were taken from", attributes)
     if settings is not None:
         described["settings"] = json.dumps(settings, indent=1)
     return xr.Dataset(variables, coordinates, described)
@@ -340,7 +340,9 @@ def write_rays(path: str | os.PathLike[str], view: RayView) -> None:
     variables = {name.removeprefix("ray_"): variable for name, variable in _ray_variables([view]).items()}
     width, height = view.pixels
     sizes = {"image_width": width, "image_height": height}
-    save_dataset(path, xr.Dataset(variables, {"axis": axis_coordinate()}, file_attributes(sizes)))
+    save_dataset(
+        path, xr.Dataset(variables, {"component": component_coordinate()}, file_attributes("rays of a sensor", sizes))
+    )
 
 
 def read_rays(path: str | os.PathLike[str]) -> RayView:

@@ -115,7 +115,7 @@ def write_phase_function(
     if function.single_scattering_albedo is not None:
         albedo = by_radius(function.single_scattering_albedo)
         variables["single_scattering_albedo"] = (per_radius, albedo, described("single-scattering albedo", "1"))
-    about = file_attributes(attributes)
+    about = file_attributes("phase functions of cloud droplets", attributes)
     if isinstance(table, DropletTable):
         efficiency = described("extinction over geometric cross-section", "1")
         variables["extinction_efficiency"] = (per_radius, by_radius(table.extinction_efficiency), efficiency)
