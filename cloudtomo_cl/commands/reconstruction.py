@@ -100,8 +100,9 @@ class Job:
 
     @property
     def stored_settings(self) -> dict[str, Any]:
-        """The settings as files keep them: without the paths of other files."""
-        return self.settings.model_dump(mode="json", exclude={"measurements", "truth"})
+        """The settings as files keep them: without the paths of other files, and with the seed that was taken."""
+        kept = self.settings.model_dump(mode="json", exclude={"measurements", "truth"})
+        return {**kept, "run": {**kept["run"], "seed": self.seed}}
 
     def say(self, text: str) -> None:
         self.console.print(text, highlight=False, soft_wrap=True)
@@ -265,7 +266,6 @@ def _description(job: Job) -> dict[str, Any]:
         "files": {name: os.path.relpath(table.file, job.request.output) for name, table in tables if table is not None},
         "scene": stored_scene(job.scene),
         "digests": {} if job.truth is None else {"truth": digest(job.truth)},
-        "seed": job.seed,
         "device": describe_device(job.device),
         "versions": versions(),
     }

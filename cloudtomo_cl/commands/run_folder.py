@@ -282,6 +282,7 @@ class RunFolder:
 
 
 def _line(record: IterationRecord) -> list[Any]:
-    """A record as the history has it."""
-    values = (getattr(record, field.name) for field in fields(record))
-    return ["" if value is None else value for value in values]
+    """A record as the history has it: stages and iterations count from 1, as on the screen."""
+    values = {field.name: getattr(record, field.name) for field in fields(record)}
+    values.update({name: values[name] + 1 for name in ("stage", "iteration") if name in values})
+    return ["" if value is None else value for value in values.values()]

@@ -123,9 +123,9 @@ def reconstruct(
     DeviceError : the device failed or has not enough memory
     """
     device, prior, solver = device or choose_device(), prior or Prior(), solver or GaussNewton()
-    stages = stages_of(scene.grid, stages, solver)
     resumed = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
     check(scene, measurements, stages, prior, solver, mask=mask, device=device, seed=seed, truth=truth, resume=resumed)
+    stages = stages_of(scene.grid, stages, solver)
     if mask is None:
         mask = carved_mask(scene, measurements, device) if resumed is None else resumed.mask
     question = _Question(scene, measurements, prior, checked_mask(mask, scene.grid), device)

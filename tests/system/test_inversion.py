@@ -48,6 +48,12 @@ def test_error_and_cost_fall(problem, device):
     assert last[-1].cost < 0.7 * last[0].cost
 
 
+def test_the_solver_says_how_many_iterations_automatic_stages_have(problem, device):
+    result = recover(problem, device, stages=None, solver=ct.GaussNewton(iterations=1))
+    counts = [sum(record.stage == stage for record in result.history) for stage in range(result.history[-1].stages)]
+    assert counts[-1] == 1
+
+
 def test_the_same_seed_gives_the_same_bits(problem, device):
     first, second = (recover(problem, device, seed=4, stages=STAGES[:1]) for _ in range(2))
     np.testing.assert_array_equal(first.extinction, second.extinction)
