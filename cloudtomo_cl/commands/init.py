@@ -14,21 +14,23 @@ from cloudtomo_cl.errors import SettingsError
 if TYPE_CHECKING:
     from cloudtomo_cl.clouds.volume import CloudVolume
 
-HELP = "write a settings file to start from"
+HELP = "write settings, or a whole example, to start from"
 
 DESCRIPTION = """\
-Write a commented settings file to start from: of a scene to render, or of a reconstruction.
+Write a commented settings file to start from: of a scene to render, or of a reconstruction; or a folder with a whole
+example: a small cloud, its images, and settings that recover it within a minute.
 
 With --cloud the views are chosen so that the whole cloud is in every image: one from above and a ring of eight.
 Everything optional is there as a comment, with its default."""
 
 EXAMPLES = """\
 examples:
+  cloudtomo init example
   cloudtomo init render --cloud cloud.nc
   cloudtomo init reconstruct --measurements images.nc --truth cloud.nc
   cloudtomo init render --schema scene.schema.json"""
 
-_FILES = {"render": "scene.toml", "reconstruct": "run.toml"}
+_FILES = {"render": "scene.toml", "reconstruct": "run.toml", "example": "example"}
 # Views of the example: how far off the vertical the ring is seen, and how many radii of the cloud away.
 _RING_ZENITH, _DISTANCE = 40.0, 4.0
 _FEWEST_PIXELS, _MOST_PIXELS = 32, 128
@@ -105,7 +107,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--schema", type=Path, metavar="FILE",
         help="write the JSON schema of such settings in place of settings: for editors that complete and check TOML",
     )  # fmt: skip
-    parser.add_argument("--output", type=Path, metavar="FILE", help="by default scene.toml or run.toml")
+    parser.add_argument(
+        "--output", type=Path, metavar="FILE", help="by default scene.toml, run.toml, or the folder example"
+    )
     parser.add_argument("--cloud", type=Path, metavar="FILE", help="of a scene: the cloud that the views shall see")
     parser.add_argument("--measurements", type=Path, metavar="FILE", help="of a run: the images (default images.nc)")
     parser.add_argument("--truth", type=Path, metavar="FILE", help="of a run: the known cloud to compare with")
@@ -129,6 +133,8 @@ def run(
 
     if schema is not None:
         return _write_schema(kind, schema, overwrite, quiet)
+    if kind == "example":
+        return _example(output or Path(_FILES[kind]), (cloud, measurements, truth), overwrite, quiet)
     if kind == "render" and (measurements is not None or truth is not None):
         raise SettingsError("--measurements and --truth belong to `cloudtomo init reconstruct`")
     if kind == "reconstruct" and cloud is not None:
@@ -147,6 +153,18 @@ def run(
         print(f"{output} is written: look through it, then run\n  cloudtomo {kind} {output} {used}")
 
 
+def _example(folder: Path, given: tuple[Path | None, ...], overwrite: bool, quiet: bool) -> None:
+    """A folder with all that a first recovery needs."""
+    from cloudtomo_cl.commands.example import write_example
+
+    if any(path is not None for path in given):
+        raise SettingsError("an example has a cloud of its own: --cloud belongs to `init render`, the others to a run")
+    write_example(folder, overwrite, quiet)
+    if not quiet:
+        print(f"{folder} is ready: recover the cloud from its images by\n"
+              f"  cloudtomo reconstruct {folder / 'run.toml'} --output {folder / 'run'}")  # fmt: skip
+
+
 def _write_schema(kind: str, path: Path, overwrite: bool, quiet: bool) -> None:
     """The JSON schema of scene files or of run files."""
     import json
@@ -155,6 +173,8 @@ def _write_schema(kind: str, path: Path, overwrite: bool, quiet: bool) -> None:
     from cloudtomo_cl.files.whole import written_whole
     from cloudtomo_cl.settings.tables import ReconstructSettings, RenderSettings
 
+    if kind == "example":
+        raise SettingsError("--schema is of `init render` or `init reconstruct`: an example has both")
     check_output(path, overwrite, (".json",), "--schema")
     model: type[RenderSettings] | type[ReconstructSettings] = (
         RenderSettings if kind == "render" else ReconstructSettings
