@@ -4,10 +4,11 @@ in vec2 corner; out vec2 place;
 void main() { place = corner; gl_Position = vec4(corner, 0., 1.); }`, `#version 300 es
 precision highp float; precision highp sampler3D;
 uniform sampler3D volume; uniform sampler2D palette;
-uniform vec3 right, up, towards, extent; uniform float half_width, largest, shown, stride; uniform int colouring;
+uniform vec3 right, up, towards, extent; uniform vec2 middle; uniform float half_width, largest, shown, stride; uniform int colouring;
 in vec2 place; out vec4 colour;
 void main() {
-  vec3 start = .5 * extent + half_width * (place.x * right + place.y * up);
+  vec2 aside = middle + half_width * place;
+  vec3 start = .5 * extent + aside.x * right + aside.y * up;
   vec3 one = (vec3(0.) - start) / -towards, other = (extent - start) / -towards;
   vec3 first = min(one, other), last = max(one, other);
   float near = max(max(first.x, first.y), first.z), far = min(min(last.x, last.y), last.z);
@@ -151,13 +152,30 @@ function overlay(eye, marks, line, label) {
 }
 const lengthOfBar = () => { const step = tickStep(extent[0] / 5); return +step.toPrecision(1); };
 
+// What must be seen lies in a square of twice `reach` around `middle`; its size does not change while it is turned.
+function frameOf(eye, marks) {
+  const half = extent.map(length => length / 2), points = [];
+  for (const a of [-1, 1]) for (const b of [-1, 1]) for (const c of [-1, 1]) points.push([a * half[0], b * half[1], c * half[2]]);
+  const far = marks ? (scene.sun ? scene.distances.sun : scene.sensors.length ? scene.distances.sensor : 1) : 1;
+  if (marks) {
+    for (const one of scene.sensors) points.push(one.towards.map(part => part * scene.distances.sensor * radius));
+    if (scene.sun) points.push(scene.light.map(part => part * scene.distances.sun * radius));
+  }
+  const middle = [eye.right, eye.up].map(axis => {
+    const places = points.map(point => dot(point, axis));
+    return (Math.max(...places) + Math.min(...places)) / 2;
+  });
+  return {middle, reach: radius * ((1 + far) / 2 + .1)};
+}
+
 function drawStage(one) {
   const eye = axesOfEye(), ratio = Math.min(window.devicePixelRatio || 1, 2), size = Math.round(one.frame.clientWidth * ratio);
   const marks = document.getElementById('marks').checked, gl = one.layers[1];
-  const reach = radius * (marks ? (scene.sun ? scene.distances.sun : scene.distances.sensor) + .12 : 1.12);
+  const {middle, reach} = frameOf(eye, marks);
   const halfWidth = reach / document.getElementById('zoom').value;
   for (const layer of one.layers) { layer.canvas.width = size; layer.canvas.height = size; }
-  const seen = point => [size / 2 * (1 + dot(point, eye.right) / halfWidth), size / 2 * (1 - dot(point, eye.up) / halfWidth)];
+  const seen = point => [size / 2 * (1 + (dot(point, eye.right) - middle[0]) / halfWidth),
+    size / 2 * (1 - (dot(point, eye.up) - middle[1]) / halfWidth)];
   const line = (front, from, to, colour, width, arrow) => {
     const context = one.layers[front ? 2 : 0], [a, b] = [seen(from), seen(to)];
     context.strokeStyle = context.fillStyle = colour; context.lineWidth = width * ratio;
@@ -188,7 +206,7 @@ function drawStage(one) {
   const of = name => gl.getUniformLocation(one.made, name);
   gl.uniform3fv(of('right'), eye.right); gl.uniform3fv(of('up'), eye.up);
   gl.uniform3fv(of('towards'), eye.towards.map(part => Math.abs(part) < 1e-6 ? 1e-6 : part));
-  gl.uniform3fv(of('extent'), extent); gl.uniform1f(of('half_width'), halfWidth);
+  gl.uniform2fv(of('middle'), middle); gl.uniform3fv(of('extent'), extent); gl.uniform1f(of('half_width'), halfWidth);
   gl.uniform1f(of('largest'), one.largest); gl.uniform1f(of('shown'), cloud.largest);
   gl.uniform1f(of('stride'), Math.max(Math.min(...cloud.spacing) / 2, radius / 349));
   gl.uniform1i(of('colouring'), +document.getElementById('colouring').value);

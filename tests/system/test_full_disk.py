@@ -56,6 +56,7 @@ WRITES = {
     "flux": ("flux scene.toml --photons 5000 --quiet --output {disk}/fluxes.nc " + PERIODIC, ["fluxes.nc"]),
     "init render": ("init render --output {disk}/scene.toml --quiet", ["scene.toml"]),
     "init reconstruct": ("init reconstruct --output {disk}/run.toml --quiet", ["run.toml"]),
+    "init example": ("init example --output {disk}/example --quiet", []),
     "validate": ("validate --only slab --photons 1000 --quiet --output {disk}/table.csv", []),
 }  # fmt: skip
 

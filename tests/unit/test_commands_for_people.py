@@ -59,6 +59,16 @@ def test_blind_images_keep_nothing_of_the_cloud(folder):
     assert ct.read_extinction("run/reconstruction.nc")[0].shape == GRID.shape
 
 
+def test_an_example_is_recovered_by_one_more_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", "example"]) == 0
+    (command,) = re.findall(r"^  (cloudtomo reconstruct .*)$", capsys.readouterr().out, flags=re.MULTILINE)
+    assert "time_limit = 30.0 " in (tmp_path / "example" / "run.toml").read_text()
+    assert main([*command.split()[1:], "--no-report", "--set", "run.time_limit=1"]) == 0
+    assert re.search(r"eps [\d.]+  delta", capsys.readouterr().out)
+    assert main(["init", "example"]) == 2 and "holds cloud.nc already" in capsys.readouterr().err
+
+
 def test_a_run_keeps_one_seed_and_counts_as_the_screen_does(folder, capsys):
     assert main("render scene.toml --samples 8 --quiet --output images.nc".split()) == 0
     assert main("init reconstruct --quiet".split()) == 0
