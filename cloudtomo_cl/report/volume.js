@@ -208,7 +208,7 @@ function drawStage(one) {
   gl.uniform3fv(of('towards'), eye.towards.map(part => Math.abs(part) < 1e-6 ? 1e-6 : part));
   gl.uniform2fv(of('middle'), middle); gl.uniform3fv(of('extent'), extent); gl.uniform1f(of('half_width'), halfWidth);
   gl.uniform1f(of('largest'), one.largest); gl.uniform1f(of('shown'), cloud.largest);
-  gl.uniform1f(of('stride'), Math.max(Math.min(...cloud.spacing) / 2, radius / 349));
+  gl.uniform1f(of('stride'), Math.max(Math.min(Math.min(...cloud.spacing) / 2, radius / 60), radius / 349));
   gl.uniform1i(of('colouring'), +document.getElementById('colouring').value);
   gl.uniform1i(of('volume'), 0); gl.uniform1i(of('palette'), 1);
   gl.drawArrays(gl.TRIANGLES, 0, 3);

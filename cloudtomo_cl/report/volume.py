@@ -14,7 +14,7 @@ import numpy as np
 from cloudtomo_cl.report.directions import angles, round_length, towards_sensor
 from cloudtomo_cl.scene.grid import Grid, resample
 from cloudtomo_cl.scene.scene import Sun, direction
-from cloudtomo_cl.scene.sensors import View
+from cloudtomo_cl.scene.sensors import View, clip_to_box
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,8 +28,10 @@ _ABOVE = Sun(zenith=0.0)
 LOST = 0.15
 AMBIENT = 0.4
 SKY, LINES, SUNLIGHT, SENSORS = "#6f93b8", "#20364f", "#ffd24a", "#c0392b"
-# Voxels of the volume that is drawn, along an edge, pixels for each of them, and at most in a picture.
-_MOST_VOXELS, _PIXELS, _MOST_PIXELS = 96, 4, 400
+# Voxels of the volume that is drawn, along an edge, pixels for each of them; pixels of a picture, at least and at most.
+_MOST_VOXELS, _PIXELS, _PIXELS_OF_PICTURE = 96, 4, (120, 360)
+# Steps along a ray: at least, and at most.
+_STEPS = (16, 160)
 # The lowest sun that lights, as the cosine of its zenith angle: lower, shadows have no end.
 _LOWEST_SUN = 0.1
 # Distances of marks from the centre, in halves of the domain's diagonal.
@@ -70,20 +72,27 @@ def rendered(grid: Grid, extinction: np.ndarray, sun: Sun) -> np.ndarray:
     light = AMBIENT + (1 - AMBIENT) * sunlight(coarse, volume, sun)
     right, up, towards = eye_axes(*EYE)
     reach = float(np.linalg.norm(grid.extent)) / 2
-    pixels = min(int(_PIXELS * 2 * reach / min(coarse.spacing)), _MOST_PIXELS)
+    pixels = int(np.clip(_PIXELS * 2 * reach / min(coarse.spacing), *_PIXELS_OF_PICTURE))
     across = ((np.arange(pixels) + 0.5) / pixels * 2 - 1) * reach
-    plane = np.asarray(grid.centre) + across[:, None, None] * up + across[None, :, None] * right
-    step = min(coarse.spacing)
-    clear, brightness = np.ones((pixels, pixels)), np.zeros((pixels, pixels))
-    for along in np.arange(reach, -reach, -step):  # from the eye on
-        places = (plane + along * towards - coarse.origin) / coarse.spacing - 0.5
-        passed = np.exp(-step * map_coordinates(volume, np.moveaxis(places, -1, 0), order=1))
-        lit = map_coordinates(light, np.moveaxis(places, -1, 0), order=1, mode="nearest")
-        brightness += clear * (1 - passed) * lit
+    start = np.asarray(grid.centre) + across[:, None, None] * up + across[None, :, None] * right + reach * towards
+    upper = np.add(grid.origin, grid.extent)
+    near, far = clip_to_box(start, np.broadcast_to(-towards, start.shape), np.array(grid.origin), upper)
+    hit = near < far
+    start, near, through = start[hit], near[hit], (far - near)[hit]
+    steps = int(np.clip(np.ceil(through.max() / min(coarse.spacing)), *_STEPS))
+    clear, brightness = np.ones(len(start)), np.zeros(len(start))
+    for step in range(steps):  # from the eye on
+        along = near + (step + 0.5) / steps * through
+        places = ((start - along[:, None] * towards - coarse.origin) / coarse.spacing - 0.5).T
+        met = map_coordinates(volume, places, order=1, mode="nearest")
+        passed = np.exp(-met * through / steps)
+        brightness += clear * (1 - passed) * map_coordinates(light, places, order=1, mode="nearest")
         clear *= passed
+    picture = np.zeros((pixels, pixels, 4))
     opacity = 1 - clear
     grey = np.divide(brightness, opacity, out=np.ones_like(clear), where=opacity > 0)
-    return np.dstack([grey, grey, grey, opacity]).clip(0, 1)
+    picture[hit] = np.column_stack([grey, grey, grey, opacity]).clip(0, 1)
+    return picture
 
 
 def edges(grid: Grid) -> list[tuple[np.ndarray, np.ndarray]]:

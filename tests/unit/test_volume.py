@@ -78,7 +78,14 @@ def test_a_picture_is_as_opaque_as_the_cloud_is_deep():
     depth = -np.log(1 - picture[..., 3])
     pixel = np.linalg.norm(grid.extent) / len(picture)
     assert depth.sum() * pixel**2 == pytest.approx(extinction.sum() * 0.001, rel=0.02)
-    assert picture[0, 0, 3] == 0 and AMBIENT <= picture[..., 0].min()
+    assert picture[0, 0, 3] == 0 and AMBIENT <= picture[picture[..., 3] > 0, 0].min()
+
+
+def test_a_single_voxel_is_seen():
+    grid = Grid((1, 1, 1), (0.2, 0.1, 0.3))
+    depth = -np.log(1 - rendered(grid, np.full((1, 1, 1), 5.0), Sun(zenith=30.0))[..., 3])
+    pixel = np.linalg.norm(grid.extent) / len(depth)
+    assert depth.sum() * pixel**2 == pytest.approx(5.0 * 0.006, rel=0.02)
 
 
 def test_the_bright_voxel_is_drawn_where_it_is():
