@@ -37,7 +37,7 @@ __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
     Tally tally = {0.0f,
                    1.0f,
                    path_radiance[path],
-                   {column, scattered, sunlight, table_sums},
+                   {column, cells, scattered, sunlight, table_sums},
                    sample & 1u ? halves.y : halves.x,
                    gradient,
                    change,
@@ -47,24 +47,29 @@ __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
     path_tangent[path] = tally.tangent;
 }
 
-/* Direct sunlight in the table's voxels, the mean of 2 x 2 x 2 points of the Gauss-Legendre rule. */
+/* Direct sunlight in the table's cells, the mean of 2 x 2 x 2 points of the Gauss-Legendre rule. */
 __kernel void direct_sunlight(DIRECT_SUNLIGHT_PARAMETERS)
 {
-    const size_t index = get_global_id(0);
-    if (index >= count)
+    const size_t cell = get_global_id(0);
+    if (cell >= count)
         return;
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
     const int layers = scene->shape[2], rows = scene->shape[1];
-    const int3 at = (int3)(voxel[index] / (layers * rows), voxel[index] / layers % rows, voxel[index] % layers);
+    const int column = cell_column[cell], index = voxel[column];
+    const int3 at = (int3)(index / (layers * rows), index / layers % rows, index % layers);
+    const uint3 parts = cells[column].yzw;
+    const uint number = (uint)cell - cells[column].x;
+    const uint3 part = (uint3)(number / (parts.y * parts.z), number / parts.z % parts.y, number % parts.z);
     float sum = 0.0f;
     for (int n = 0; n < 8; ++n) {
         Ray ray;
         const float3 side = (float3)(n & 1 ? 1.0f : -1.0f, n & 2 ? 1.0f : -1.0f, n & 4 ? 1.0f : -1.0f);
-        ray.position = convert_float3(at) + 0.5f + 0.288675135f * side; /* 1 / sqrt(12) */
+        const float3 within_part = 0.5f + 0.288675135f * side; /* 1 / sqrt(12) */
+        ray.position = convert_float3(at) + (convert_float3(part) + within_part) / convert_float3(parts);
         ray.direction = sun_direction(scene);
         ray.voxel = at;
         ray.inside = true;
         sum += exp(-fly(&medium, &ray, INFINITY).depth);
     }
-    sunlight[index] = 0.125f * sum;
+    sunlight[cell] = 0.125f * sum;
 }

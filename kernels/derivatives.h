@@ -35,14 +35,18 @@ typedef struct {
     bool is_first;     /* from the camera */
 } Payload;
 
-inline void deposit_crossing(int index, float length, Payload payload, Tally *tally)
+/* A crossing is so short in what is optically deep that its middle stands for it. */
+inline void deposit_crossing(const __constant Scene *scene, const Ray *ray, const VoxelWalk *walk, float length,
+                             Payload payload, Tally *tally)
 {
     const RadianceTable *table = &tally->table;
-    const int column = table->column[index];
+    const int index = walk->index, column = table->column[index];
     if (column < 0)
         return;
-    const int place = column * DIRECTION_BINS + payload.bin;
-    const float source = table->scattered[place] + payload.sun_density * table->sunlight[column];
+    const float middle = walk->distance + 0.5f * length;
+    const uint cell = cell_at(table, column, ray->position + middle * ray->direction / grid_spacing(scene));
+    const uint place = cell * DIRECTION_BINS + payload.bin;
+    const float source = table->scattered[place] + payload.sun_density * table->sunlight[cell];
     tally_derivative(index, column, length * (payload.throughput * source), payload.is_first, tally);
     if (payload.weight > 0.0f) {
         accumulate(table->sums + 2 * place, TABLE_UNIT * length * payload.weight);
@@ -52,7 +56,7 @@ inline void deposit_crossing(int index, float length, Payload payload, Tally *ta
 
 #define TRAVERSAL fly_and_deposit
 #define TRAVERSAL_CONTEXT , Payload payload, Tally *tally
-#define CROSSES(index, length) deposit_crossing(index, length, payload, tally)
+#define CROSSES(index, length) deposit_crossing(scene, ray, &walk, length, payload, tally)
 #define SKIPS()
 #include "walk/traversal.h"
 

@@ -40,7 +40,7 @@ __kernel void jacobian_paths(JACOBIAN_PATHS_PARAMETERS)
     Tally tally = {0.0f,
                    1.0f,
                    path_radiance[path],
-                   {column, scattered, sunlight, table_sums},
+                   {column, cells, scattered, sunlight, table_sums},
                    scene,
                    tiles + pixel_in_list,
                    place,

@@ -1,4 +1,5 @@
-/* The radiance table: diffuse radiance by voxel of a mask and bin of directions.
+/* The radiance table: diffuse radiance by cell and bin of directions. Cells are the voxels of a mask, or parts of
+ * those that are optically deep.
  *
  * Bins are rings around the vertical, cut into equal azimuths. The host defines DIRECTION_RINGS, DIRECTION_BINS
  * and the values of the three tables of rings. */
@@ -24,9 +25,19 @@ inline int direction_bin(float3 direction)
 
 typedef struct {
     const __global int *column;          /* of every voxel in the table, or -1 */
-    const __global float *scattered;     /* [column][bin]: source - radiance, sr^-1 */
-    const __global float *sunlight;      /* [column]: direct, share of the irradiance */
-    volatile __global Accumulator *sums; /* [column][bin][2]: km, sr^-1 km; what paths bring for the next table */
+    const __global uint4 *cells;         /* of every column: its first cell, and parts along x, y, z */
+    const __global float *scattered;     /* [cell][bin]: source - radiance, sr^-1 */
+    const __global float *sunlight;      /* [cell]: direct, share of the irradiance */
+    volatile __global Accumulator *sums; /* [cell][bin][2]: km, sr^-1 km; what paths bring for the next table */
 } RadianceTable;
+
+/* The cell at a position, in voxel units, inside of a column's voxel or a periodic copy of it. */
+inline uint cell_at(const RadianceTable *table, int column, float3 position)
+{
+    const uint4 cells = table->cells[column];
+    const uint3 parts = cells.yzw;
+    const uint3 part = min(convert_uint3((position - floor(position)) * convert_float3(parts)), parts - 1u);
+    return cells.x + (part.x * parts.y + part.y) * parts.z + part.z;
+}
 
 #endif

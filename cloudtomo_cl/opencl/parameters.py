@@ -41,9 +41,10 @@ _REPLAY = (
 )
 _TABLE = (
     "const __global int *column",  # of every voxel in the radiance table, or -1
-    "const __global float *scattered",  # [column][bin]: source - radiance, sr^-1
-    "const __global float *sunlight",  # [column]: direct, share of the irradiance
-    "volatile __global Accumulator *table_sums",  # [column][bin][2]: km, sr^-1 km
+    "const __global uint4 *cells",  # of every column: its first cell, and parts along x, y, z
+    "const __global float *scattered",  # [cell][bin]: source - radiance, sr^-1
+    "const __global float *sunlight",  # [cell]: direct, share of the irradiance
+    "volatile __global Accumulator *table_sums",  # [cell][bin][2]: km, sr^-1 km
 )
 _GRADIENT = (
     "const __global float2 *adjoint",  # per pixel: even, odd samples
@@ -193,7 +194,24 @@ KERNELS: dict[str, tuple[str, ...]] = {
     ),
     "far_times": (*_FAR, "const __global NUMBERS *x", "__global NUMBERS *result"),
     "far_transposed": (*_FAR, "const int squares", "const __global NUMBERS *y", "__global NUMBERS *result"),
-    "direct_sunlight": (*MEDIUM, "const __global int *voxel", "const uint count", "__global float *sunlight"),
+    "probe_paths": (
+        *MEDIUM,
+        "const uint seed",
+        "const uint stream",
+        *_TABLE,
+        "const __global int *listed",  # index of every voxel that is probed
+        "const uint count",
+        "const uint samples",
+        "const float length",  # km
+    ),
+    "direct_sunlight": (
+        *MEDIUM,
+        "const __global int *voxel",  # of every column: index
+        "const __global uint4 *cells",
+        "const __global int *cell_column",  # of every cell
+        "const uint count",
+        "__global float *sunlight",
+    ),
     "trace_photons": (
         *MEDIUM,
         "const __global View *sun_view",

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -11,46 +10,36 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.opencl.fixed_point import require_sums
 from cloudtomo_cl.opencl.layout import TABLE_UNIT
 from cloudtomo_cl.opencl.memory import Footprint
-from cloudtomo_cl.scene.phase import PhaseFunction
+from cloudtomo_cl.transport.cells import Cells, most_cells
+from cloudtomo_cl.transport.directions import BINS, FEATURES, scattering_matrix
 from cloudtomo_cl.transport.radiance import FIXED_POINT_SCALE, RadianceOperator, Rendering, largest_adjoint
 
-if TYPE_CHECKING:
-    pass
-
-# Rings of directions around the vertical, degrees from it, and their azimuths: cells of about
-# 0.17 sr, smaller near the vertical.
-_EDGES = (0.0, 8.0, 16.0, 28.0, 42.0, 60.0, 80.0, 100.0, 125.0, 150.0, 180.0)
-_AZIMUTHS = (1, 4, 6, 8, 10, 12, 12, 10, 8, 4)
-_FIRST = tuple(int(first) for first in np.concatenate([[0], np.cumsum(_AZIMUTHS)[:-1]]))
-BINS = sum(_AZIMUTHS)
-_FEATURES = (
-    f"DIRECTION_RINGS {len(_AZIMUTHS)}",
-    f"DIRECTION_BINS {BINS}",
-    "RING_COSINES " + ", ".join(f"{np.cos(np.radians(edge)):.8f}f" for edge in _EDGES),
-    "RING_AZIMUTHS " + ", ".join(map(str, _AZIMUTHS)),
-    "RING_FIRSTS " + ", ".join(map(str, _FIRST)),
-)
-# Points in each cell of directions over which phase functions are averaged.
-_POINTS = 12
 # A cell with less than so many crossings of a voxel leans on its neighbours'; one without any
 # neighbour on the mean of all voxels.
 _OWN_CROSSINGS, _NEIGHBOUR_CROSSINGS = 5.0, 0.05
 # The table on the device, with what is added to it; on the host, and what smoothing it takes.
 _BYTES_PER_CELL, _HOST_BYTES_PER_CELL = 20, 40
 # Kernels count the table's entries with signed integers of 32 bits.
-_MOST_CELLS = 2**31 - 1
+_MOST_ENTRIES = 2**31 - 1
+# Paths from each voxel that is thinner than this (optical depth along its shortest edge), for the table alone: the
+# cameras' paths hardly go from there to what shines on it. Each is worth so little of a crossing that it counts in
+# what is pooled with the neighbours: a voxel's own few are noise.
+_THIN, _PROBES, _WORTH = 1.0, 32, 0.1
 # After so many gradients the table is made anew, and what it held before fades.
 _FADING = 0.7
 _REFRESH = 4
 
 
 def table_footprint(voxels: int) -> Footprint:
-    """What a `RadianceTable` of so many voxels takes."""
-    return Footprint(_BYTES_PER_CELL * voxels * BINS, 16 * voxels * BINS, _HOST_BYTES_PER_CELL * voxels * BINS)
+    """What a `RadianceTable` of so many voxels takes at most."""
+    entries = most_cells(voxels) * BINS
+    return Footprint(_BYTES_PER_CELL * entries, 16 * entries, _HOST_BYTES_PER_CELL * entries)
 
 
 class RadianceTable:
     """A table of the diffuse radiance by voxel and direction, and gradients by it.
+
+    Voxels that are optically deep are divided into cells (cells.py), for light changes inside.
 
     Parameters
     ----------
@@ -79,7 +68,7 @@ class RadianceTable:
             f"the radiance table of {self.columns} voxels",
             'choose a smaller mask or grid, or solver.gradient = "replay"',
         )
-        if 2 * self.columns * BINS > _MOST_CELLS:
+        if 2 * most_cells(self.columns) * BINS > _MOST_ENTRIES:
             raise DataError(
                 f"the radiance table of {self.columns} voxels is more than kernels count: choose a smaller mask or "
                 'grid, or solver.gradient = "replay"'
@@ -88,20 +77,38 @@ class RadianceTable:
         column[mask] = np.arange(self.columns)
         self.column = device.constant(column)
         self._voxel = device.constant(np.flatnonzero(mask).astype(np.int32))
-        features = (*operator.features, *_FEATURES)
+        features = (*operator.features, *FEATURES)
         self._gradient_paths = device.kernel("derivatives", "gradient_paths", features)
         self._direct_sunlight = device.kernel("derivatives", "direct_sunlight", features)
+        self._probe_paths = device.kernel("probes", "probe_paths", features)
         self.features = features
         cloud = operator.scene.cloud
         # Of a phase table the middle row stands for all: it is what flights to the sun are drawn from.
         albedos = getattr(cloud.phase_function, "single_scattering_albedo", None) or (cloud.single_scattering_albedo,)
         self._albedo = albedos[len(albedos) // 2]
         self._scattering = scattering_matrix(cloud.phase_function)
+        self._cells = Cells.whole(self.columns)
         self._table = np.zeros((self.columns, BINS, 2), np.float32)  # km, sr^-1 km
-        self._field = device.zeros((self.columns, BINS, 2), np.int64)
-        self._scattered = device.zeros((self.columns, BINS), np.float32)
-        self._sunlight = device.zeros(self.columns, np.float32)
+        self._allocate()
         self._gradients = 0
+
+    def _allocate(self) -> None:
+        """Arrays on the device for the cells, all 0."""
+        device, cells = self._operator.device, len(self._cells)
+        self._places = device.constant(self._cells.places)
+        self._field = device.zeros((cells, BINS, 2), np.int64)
+        self._scattered = device.zeros((cells, BINS), np.float32)
+        self._sunlight = device.zeros(cells, np.float32)
+
+    def _divide(self, rendering: Rendering) -> None:
+        """Divides the voxels as a rendering's extinction asks for; nothing may be in the device's sums."""
+        scene = self._operator.scene
+        extinction = rendering._medium.extinction.get()[self._mask]
+        cells = Cells.of(extinction, scene.grid.spacing, scene.cloud.phase_function.g)
+        if not np.array_equal(cells.parts, self._cells.parts):
+            self._table = self._cells.changed(self._table, cells)
+            self._cells = cells
+            self._allocate()
 
     def gradient(self, rendering: Rendering, adjoint: np.ndarray, change: Any) -> tuple[Any, np.ndarray]:
         """The gradient of a cost with respect to extinction; as `RadianceOperator.gradient`.
@@ -123,6 +130,7 @@ class RadianceTable:
         AuditError, TransportError : as `RadianceOperator.gradient`
         """
         if self._gradients == 0:
+            self._divide(rendering)
             self._walk(rendering, np.zeros_like(adjoint), change)
         if self._gradients % _REFRESH == 0:
             self._refresh(rendering)
@@ -137,6 +145,7 @@ class RadianceTable:
         operator = self._operator
         if self._gradients == 0:
             nothing = operator.device.zeros(operator.scene.grid.shape, np.float32)
+            self._divide(rendering)
             self._walk(rendering, np.zeros((len(operator.pixels), 2)), nothing)
         self._refresh(rendering)
         self._gradients += 1
@@ -144,12 +153,14 @@ class RadianceTable:
     def arrays(self) -> dict[str, np.ndarray]:
         """All that a gradient changes, as arrays on the host."""
         arrays = {"field": self._field, "scattered": self._scattered, "sunlight": self._sunlight}
-        own = {"table": self._table.copy(), "gradients": np.array(self._gradients)}
+        own = {"table": self._table.copy(), "gradients": np.array(self._gradients), "parts": self._cells.parts}
         return own | {name: array.get() for name, array in arrays.items()}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Goes on from what `arrays` gave."""
+        self._cells = Cells(state["parts"].copy())
         self._table = state["table"].copy()
+        self._allocate()
         self._gradients = int(state["gradients"])
         for name, array in (("field", self._field), ("scattered", self._scattered), ("sunlight", self._sunlight)):
             array.set(state[name])
@@ -158,7 +169,8 @@ class RadianceTable:
     def buffers(self) -> dict[str, Any]:
         """The table as kernels take it."""
         return {
-            "column": self.column, "scattered": self._scattered, "sunlight": self._sunlight, "table_sums": self._field
+            "column": self.column, "cells": self._places, "scattered": self._scattered, "sunlight": self._sunlight,
+            "table_sums": self._field,
         }  # fmt: skip
 
     def _walk(self, rendering: Rendering, adjoint: np.ndarray, change: Any) -> tuple[Any, np.ndarray]:
@@ -182,48 +194,86 @@ class RadianceTable:
             gradient = total.astype(np.float32) * np.float32(unit)
         return gradient, tangent * irradiance / rendering.samples
 
+    def _probe(self, rendering: Rendering) -> None:
+        """Sends paths from thin voxels for the table."""
+        spacing, device = self._operator.scene.grid.spacing, self._operator.device
+        extinction = rendering._medium.extinction.get()
+        listed = np.flatnonzero(self._mask & (extinction * min(spacing) < _THIN)).astype(np.int32)
+        if not len(listed):
+            return
+        device.launch(
+            self._probe_paths, len(listed) * _PROBES, **rendering._medium.arguments, **self.buffers,
+            seed=rendering.seed, stream=rendering.stream, listed=device.constant(listed), count=len(listed),
+            samples=_PROBES, length=_WORTH * float(np.mean(spacing)),
+        )  # fmt: skip
+
     def _refresh(self, rendering: Rendering) -> None:
         """Makes source and radiance anew from what paths have brought, at a rendering's extinction."""
+        self._probe(rendering)
         self._table *= _FADING
         field = self._field.get()
-        require_sums(field, "the radiance table", "voxel of the mask, direction and kind")
+        require_sums(field, "the radiance table", "cell, direction and kind")
         self._table += field / np.float32(TABLE_UNIT)
         self._operator.device.clear(self._field)
+        self._divide(rendering)
         radiance = self._radiance()
         scattered = self._albedo * (radiance @ self._scattering.T) - radiance
         self._scattered.set(scattered.astype(np.float32))
-        medium = rendering._medium
+        medium, cells = rendering._medium, len(self._cells)
         self._operator.device.launch(
-            self._direct_sunlight, self.columns, **medium.arguments, voxel=self._voxel, count=self.columns,
+            self._direct_sunlight, cells, **medium.arguments, voxel=self._voxel, cells=self._places,
+            cell_column=self._operator.device.constant(self._cells.voxel.astype(np.int32)), count=cells,
             sunlight=self._sunlight,
         )  # fmt: skip
         self._sunlight *= np.float32(self._albedo)
 
     def _radiance(self) -> np.ndarray:
-        """Radiance by voxel and direction, sr^-1: its own cell's, as far as it is known."""
-        edge = float(np.mean(self._operator.scene.grid.spacing))
-        length, brought = self._table[..., 0], self._table[..., 1]
-        everywhere = brought.sum(axis=0) / np.maximum(length.sum(axis=0), 1e-30)
+        """Radiance by cell and direction, sr^-1: its own, as far as it is known, else its voxel's."""
+        cells, edge = self._cells, float(np.mean(self._operator.scene.grid.spacing))
+        sums = cells.summed(self._table)
+        everywhere = sums[..., 1].sum(axis=0) / np.maximum(sums[..., 0].sum(axis=0), 1e-30)
         near = []
-        for values in (length, brought):  # one after the other, for the sake of memory
+        for kind in range(2):  # one after the other, for the sake of memory
             full = np.zeros((*self._mask.shape, BINS), np.float32)
-            full[self._mask] = values
+            full[self._mask] = sums[..., kind]
             near.append(_with_neighbours(full)[self._mask])
         least = _NEIGHBOUR_CROSSINGS * edge
         neighbours = (near[1] + least * everywhere) / (near[0] + least)
-        # A voxel's own brightness, which its neighbours need not have.
-        expected, found = (length * neighbours).sum(axis=1), brought.sum(axis=1)
-        lit = expected[expected > 0]
-        level = 0.3 * np.median(lit) if len(lit) else 1.0
-        ratio = np.clip((found + level) / (expected + level), 0.05, 10.0)[:, None]
-        own = _OWN_CROSSINGS * edge
-        return (brought + own * ratio * neighbours) / (length + own)
+        radiance = _leaning(sums, neighbours, np.full(len(sums), edge))
+        if len(cells) > len(sums):
+            edges = edge / np.cbrt(cells.counts)
+            whole = cells.counts == 1
+            radiance = np.where(
+                whole[cells.voxel, None],
+                radiance[cells.voxel],
+                _leaning(self._table, radiance[cells.voxel], edges[cells.voxel]),
+            )
+        return radiance
+
+
+def _leaning(sums: np.ndarray, others: np.ndarray, edge: np.ndarray) -> np.ndarray:
+    """Radiance of places that lean on what others have, as far as too little crosses them.
+
+    Parameters
+    ----------
+    sums : km and sr^-1 km, shape (places, bins, 2)
+    others : sr^-1, shape (places, bins)
+    edge : of the places, km, shape (places,)
+    """
+    length, brought = sums[..., 0], sums[..., 1]
+    # A place's own brightness, which others need not have.
+    expected, found = (length * others).sum(axis=1), brought.sum(axis=1)
+    lit = expected[expected > 0]
+    level = 0.3 * np.median(lit) if len(lit) else 1.0
+    ratio = np.clip((found + level) / (expected + level), 0.05, 10.0)[:, None]
+    own = (_OWN_CROSSINGS * edge)[:, None]
+    return (brought + own * ratio * others) / (length + own)
 
 
 def _with_neighbours(values: np.ndarray) -> np.ndarray:
     """Sums over a voxel and the 26 around it, shape (x, y, z, ...).
 
-    SciPy's uniform_filter takes twice the time, much of the host's in an stream.
+    SciPy's uniform_filter takes twice the time, much of the host's in an iteration.
     """
     for axis in range(3):
         before = np.moveaxis(values, axis, 0)
@@ -232,28 +282,3 @@ def _with_neighbours(values: np.ndarray) -> np.ndarray:
         total[:-1] += before[1:]
         values = np.moveaxis(total, 0, axis)
     return values
-
-
-@lru_cache
-def scattering_matrix(phase_function: PhaseFunction) -> np.ndarray:
-    """Share of the light from direction bin j that droplets scatter into bin i, per sr of i's own direction.
-
-    Returns an array (bins, bins): the source function in bin i is its sum over j times the radiance in j.
-    """
-    random = np.random.default_rng(0)
-    directions, angles = [], []
-    for ring, count in enumerate(_AZIMUTHS):
-        upper, lower = np.cos(np.radians(_EDGES[ring : ring + 2]))
-        for azimuth in range(count):
-            u = (np.indices((_POINTS, _POINTS)).reshape(2, -1).T + random.random((_POINTS**2, 2))) / _POINTS
-            cosine, phi = lower + (upper - lower) * u[:, 0], 2 * np.pi * (azimuth + u[:, 1]) / count
-            sine = np.sqrt(1 - cosine**2)
-            directions.append(np.column_stack([sine * np.cos(phi), sine * np.sin(phi), cosine]))
-            angles.append((upper - lower) * 2 * np.pi / count)
-    # From j to i as from i to j, but for the bins' sizes.
-    mean = np.empty((BINS, BINS))
-    for i, first in enumerate(directions):
-        for j, second in enumerate(directions[: i + 1]):
-            mean[i, j] = mean[j, i] = phase_function.density(np.clip(first @ second.T, -1, 1)).mean()
-    matrix = mean * angles
-    return matrix / matrix.sum(axis=1, keepdims=True)

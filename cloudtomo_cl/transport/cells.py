@@ -1,0 +1,91 @@
+"""Cells: voxels, and parts of those that are optically deep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# A cell is so deep at most, in optical depths divided by 1 - g, along every axis: light hardly changes within.
+_DEPTH = 0.25
+_LEAST_DEPTH = 0.5
+# Parts along an axis at most, and cells in all: for so many voxels, and in any case.
+_MOST_PARTS = 8
+_MOST_PER_VOXEL, _ALWAYS = 3, 10_000
+
+
+def most_cells(voxels: int) -> int:
+    """How many cells so many voxels have at most."""
+    return max(_MOST_PER_VOXEL * voxels, _ALWAYS)
+
+
+@dataclass(frozen=True)
+class Cells:
+    """How voxels are divided; cells are numbered voxel by voxel, z fastest.
+
+    Attributes
+    ----------
+    parts : along x, y, z, int32, shape (voxels, 3)
+    """
+
+    parts: np.ndarray
+
+    @classmethod
+    def whole(cls, voxels: int) -> Cells:
+        """Every voxel is a cell."""
+        return cls(np.ones((voxels, 3), np.int32))
+
+    @classmethod
+    def of(cls, extinction: np.ndarray, spacing: tuple[float, float, float], asymmetry: float) -> Cells:
+        """Cells in which light does not change much, as far as there may be so many.
+
+        Parameters
+        ----------
+        extinction : km^-1, shape (voxels,)
+        spacing : of the voxels, km
+        asymmetry : of the droplets' phase function
+        """
+        depth = np.asarray(extinction, float)[:, None] * np.asarray(spacing)
+        limit = max(_DEPTH / max(1 - asymmetry, 1e-6), _LEAST_DEPTH)
+        limit = min(limit, _DEPTH * _MOST_PARTS)
+        while True:
+            parts = np.clip(np.ceil(depth / limit), 1, _MOST_PARTS)
+            if parts.prod(axis=1).sum() <= most_cells(len(depth)):
+                return cls(parts.astype(np.int32))
+            limit *= 1.25
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Of every voxel's cells, shape (voxels,)."""
+        return self.parts.prod(axis=1, dtype=np.int64)
+
+    @property
+    def first(self) -> np.ndarray:
+        """Of every voxel's cells, the first, shape (voxels,)."""
+        return np.concatenate([[0], np.cumsum(self.counts)[:-1]])
+
+    def __len__(self) -> int:
+        return int(self.counts.sum())
+
+    @property
+    def voxel(self) -> np.ndarray:
+        """Of every cell, shape (cells,)."""
+        return np.repeat(np.arange(len(self.parts)), self.counts)
+
+    @property
+    def places(self) -> np.ndarray:
+        """First cell and parts along x, y, z of every voxel, as kernels take them: uint32, shape (voxels, 4)."""
+        return np.column_stack([self.first, self.parts]).astype(np.uint32)
+
+    def summed(self, values: np.ndarray) -> np.ndarray:
+        """Sums over every voxel's cells: from (cells, ...) to (voxels, ...)."""
+        return values if len(self) == len(self.parts) else np.add.reduceat(values, self.first, axis=0)
+
+    def changed(self, values: np.ndarray, other: Cells) -> np.ndarray:
+        """What other cells hold of an amount that these hold; where a voxel is divided anew it is spread evenly."""
+        same = (self.parts == other.parts).all(axis=1)
+        if same.all():
+            return values
+        result = (self.summed(values) / other.counts.reshape(-1, *[1] * (values.ndim - 1)))[other.voxel]
+        result[np.repeat(same, other.counts)] = values[np.repeat(same, self.counts)]
+        return result.astype(values.dtype)

@@ -1,0 +1,29 @@
+"""The scattering between bins of directions, against fields of which scattered light is known exactly."""
+
+import numpy as np
+import pytest
+
+from cloudtomo_cl.scene.phase import HenyeyGreenstein
+from cloudtomo_cl.transport.directions import _points, scattering_matrix
+
+
+def henyey_greenstein(cosine, g):
+    return (1 - g * g) / (4 * np.pi * (1 + g * g - 2 * g * cosine) ** 1.5)
+
+
+@pytest.mark.parametrize("g", [0.0, 0.5, 0.85])
+@pytest.mark.parametrize("field", [0.3, 0.5, 0.7])
+def test_scattered_light_less_radiance_is_that_of_a_smooth_field(g, field):
+    """Henyey-Greenstein's function of asymmetry a is scattered into that of asymmetry g a: exact. Fields around 20
+    directions; the difference is within 8 % of its root mean square (bins of constant radiance: 20 %)."""
+    directions, solid_angles = _points()
+    matrix = scattering_matrix(HenyeyGreenstein(g=g))
+    random = np.random.default_rng(1)
+    wrong = right = 0.0
+    for axis in random.normal(size=(20, 3)):
+        cosines = [bin @ (axis / np.linalg.norm(axis)) for bin in directions]
+        radiance, source = ([henyey_greenstein(c, a).mean() for c in cosines] for a in (field, g * field))
+        expected = np.subtract(source, radiance)
+        wrong += np.sum(solid_angles * (matrix @ radiance - radiance - expected) ** 2)
+        right += np.sum(solid_angles * expected**2)
+    assert np.sqrt(wrong / right) < 0.08
