@@ -11,8 +11,10 @@ NOTEBOOKS = sorted((Path(__file__).parents[2] / "docs" / "tutorial" / "notebooks
 QUICKER = {
     "time_limit=20": "time_limit=1",
     "0.1, seed=1": "0.5, seed=1",
-    "range(1, 9)": "range(1, 4)",
-    "iterations=8": "iterations=2",
+    "range(1, 9)": "range(1, 3)",
+    "iterations=8": "iterations=1",
+    "samples=256": "samples=32",
+    "samples=512": "samples=64",
 }
 
 

@@ -72,7 +72,7 @@ def test_both_kinds_see_the_same(pose):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"rotation": np.diag([1.0, 1.0, -1.0])}, "rotation is none .* determinant is -1"),
+        ({"rotation": np.diag([1.0, 1.0, -1.0])}, "rotation is none .* determinant -1"),
         ({"rotation": 2 * np.eye(3)}, "rotation is none"),
         ({"rotation": np.eye(4)}, r"rotation has shape \(4, 4\)"),
         ({"matrix": np.eye(3)[::-1]}, r"matrix is .*: it must be \[\[fx"),
