@@ -90,12 +90,16 @@ def run(
     **reading: Any,
 ) -> None:
     """Reads or generates, changes, writes and summarises a cloud; `reading` are the fields of `ReadingOptions`."""
+    from cloudtomo_cl.files.netcdf import require_file
+
     if (file is None) == (generate is None):
         raise SettingsError("give either FILE, or --generate cumulus (or field, tower, stratocumulus)")
     if generate is None and shape is not None:
         raise SettingsError("--shape belongs to --generate; to change a file's voxels use --crop, --pad or --coarsen")
     if generate is not None and output is None and vti is None:
         raise SettingsError("--generate needs --output too")
+    if file is not None:
+        require_file(file)
     options.check_outputs(overwrite, output=output, png=png, vti=vti)
     steps = {"crop": crop, "pad": pad, "rotate": rotate, "coarsen": coarsen, "tile": tile}
     bounds = None if crop is None else _pairs("crop", crop, float, (None, None))

@@ -131,6 +131,7 @@ def prepare(request: Request) -> Job:
     """Reads and checks everything. Raises what can be refused before the first path."""
     if request.resume and request.overwrite:
         raise SettingsError("--resume goes on with a run and --overwrite discards it: give one of them")
+    settings, measurements, stored = _read(request)
     folder = request.folder
     resumed = folder.read_checkpoint() if request.resume else None
     if request.resume:
@@ -138,7 +139,6 @@ def prepare(request: Request) -> Job:
         folder.check_own()
     else:
         folder.check_new()
-    settings, measurements, stored = _read(request)
     scene = settings.scene(stored.get("scene", {}))
     truth = None if settings.truth is None else read_truth(settings.truth.file, scene.grid)
     check_views(scene, measurements.views)

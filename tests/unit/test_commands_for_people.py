@@ -84,7 +84,7 @@ def test_a_run_keeps_one_seed_and_counts_as_the_screen_does(folder, capsys):
 
 def test_errors_come_in_the_order_of_what_was_typed(folder, capsys):
     (folder / "there.nc").touch()
-    for command in ("render", "flux"):
+    for command in ("render", "flux", "cloud", "reconstruct"):
         assert main(f"{command} missing.toml --output there.nc".split()) == 2
         assert "missing.toml" in capsys.readouterr().err
 
