@@ -64,8 +64,8 @@ def truth() -> np.ndarray:
     return extinction
 
 
-class Writer:
-    """A case: the file that it draws, the options to read it with, and what must come of it."""
+class Case:
+    """What is drawn for a file: by what chances, and what it does that need not be read."""
 
     def __init__(self, rng: random.Random) -> None:
         self.rng, self.options, self.told = rng, {}, []  # type: ignore[var-annotated]
@@ -73,9 +73,6 @@ class Writer:
         self.complete = True
         # Two in three cases are what a careful program writes; the others have something wrong.
         self.careless = rng.random() < 0.35
-        self.expected = truth()
-        self.kind = rng.choice(["extinction", "lwc", "lwc", "ql", "ql"])
-        self.name = rng.choice(NAMES[self.kind])
 
     def chance(self, share: float) -> bool:
         return self.rng.random() < share
@@ -88,6 +85,16 @@ class Writer:
         """Something that need not be read."""
         self.complete = False
         self.told.append(what)
+
+
+class Writer(Case):
+    """A case: the file that it draws, the options to read it with, and what must come of it."""
+
+    def __init__(self, rng: random.Random) -> None:
+        super().__init__(rng)
+        self.expected = truth()
+        self.kind = rng.choice(["extinction", "lwc", "lwc", "ql", "ql"])
+        self.name = rng.choice(NAMES[self.kind])
 
     def write(self, path: Path) -> None:
         rng = self.rng
@@ -465,8 +472,9 @@ def _differs(expected: np.ndarray, extinction: np.ndarray, grid: Any) -> str:
     return ""
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def run_cases(about: str, writers: Any, outcome: Any) -> int:
+    """Draws cases as the command line says, prints what is wrong, and counts; the exit status."""
+    parser = argparse.ArgumentParser(description=about)
     parser.add_argument("--cases", type=int, default=2000)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=0)
@@ -474,9 +482,9 @@ def main() -> int:
     options = parser.parse_args()
     counts: collections.Counter[str] = collections.Counter()
     with tempfile.TemporaryDirectory() as temporary:
-        path = Path(temporary) / "cloud.nc"
+        path = Path(temporary) / "file.nc"
         for number in range(options.first, options.first + options.cases):
-            writer = Writer(random.Random(f"{options.seed} {number}"))
+            writer = writers(random.Random(f"{options.seed} {number}"))
             path.unlink(missing_ok=True)
             writer.write(path)
             result, why = outcome(path, writer)
@@ -489,4 +497,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_cases(__doc__.splitlines()[0], Writer, outcome))

@@ -43,6 +43,8 @@ TESTS: dict[str, tuple[str, ...]] = {
     "*/scene/metrics.py": (UNIT + "metrics",),
     "*/scene/noise.py": (UNIT + "noise",),
     "*/scene/phase.py": (UNIT + "phase_functions", UNIT + "phase_files", UNIT + "droplets", KERNELS + "phase"),
+    "*/scene/arrays.py": (UNIT + "missing", UNIT + "python_arrays"),
+    "*/scene/pixel_errors.py": (UNIT + "pixel_errors", KERNELS + "pooled_errors"),
     "*/scene/pixels.py": (UNIT + "measurements", UNIT + "carve", KERNELS + "field"),
     "*/scene/scene.py": (UNIT + "scene", UNIT + "config", KERNELS + "walk", KERNELS + "exact", KERNELS + "flux"),
     "*/scene/sensors.py": (UNIT + "projection", UNIT + "sensors", UNIT + "formations", UNIT + "config",

@@ -17,7 +17,7 @@ from cloudtomo_cl.clouds.volume import CloudVolume
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.axes import Axis, find_axes, kind_of_dimension, read_axis
 from cloudtomo_cl.files.missing import require_present
-from cloudtomo_cl.files.netcdf import Source, load_dataset, name_of
+from cloudtomo_cl.files.netcdf import Source, load_dataset, name_of, require_numbers
 from cloudtomo_cl.files.units import LENGTH, MASS_DENSITY, parse_unit
 
 if TYPE_CHECKING:
@@ -124,6 +124,8 @@ def _says_otherwise(variable: xr.DataArray, kind: str) -> str:
         return ""
     if kind == "liquid water content" and re.search(r"\bwater\b|\blwc\b", words) and "vapo" not in words:
         words = re.sub(r"\b(in|of|per kg|per kilogram|per volume|per unit volume) (of )?(dry |moist )?air\b", "", words)
+    # DALES calls its cloud water so.
+    words = words.replace("liquid water specific humidity", "liquid water")
     found = re.search(_OTHER_THINGS[kind], words)
     return found.group().strip() if found else ""
 
@@ -256,8 +258,7 @@ def _refuse_unused(path: Any, options: ReadingOptions, used: set[str]) -> None:
 
 def _over(path: Any, dataset: xr.Dataset, variable: xr.DataArray, axes: dict[str, Axis]) -> np.ndarray:
     """A variable over x, y, z along rising axes (length 1 where it has no such dimension)."""
-    if variable.dtype.kind not in "fiu":
-        raise DataError(f"{path}: {variable.name} has type {variable.dtype}, it must hold numbers")
+    require_numbers(path, variable)
     for dimension in map(str, variable.dims):
         letter = kind_of_dimension(dataset, dimension)
         if dimension == axes[letter].dimension:

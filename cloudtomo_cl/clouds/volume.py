@@ -8,7 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.files.missing import filled, require_present
+from cloudtomo_cl.files.extinction import check_extinction, check_radius
+from cloudtomo_cl.files.missing import require_present
+from cloudtomo_cl.scene.arrays import filled
 from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.grid import Grid, resample
 
@@ -39,14 +41,16 @@ class CloudVolume:
 
     def __post_init__(self) -> None:
         for name in ("extinction", "effective_radius"):
-            values = getattr(self, name)
-            if isinstance(values, np.ma.MaskedArray):
-                values = filled(values)
-                object.__setattr__(self, name, values)
-            if values is not None and name == "extinction":
-                require_present("the cloud", name, values, "it must be known everywhere; in clear air it is 0")
-            if values is not None and values.shape != self.grid.shape:
+            if getattr(self, name) is None:
+                continue
+            values = filled(getattr(self, name))
+            object.__setattr__(self, name, values)
+            if values.shape != self.grid.shape:
                 raise DataError(f"{name} has shape {values.shape}, the grid {self.grid.shape}")
+        require_present("the cloud", "extinction", self.extinction, "it must be known; in clear air it is 0")
+        check_extinction("the cloud", "extinction", self.extinction)
+        if self.effective_radius is not None:
+            check_radius("the cloud", self.effective_radius, self.extinction > 0)
 
     def __repr__(self) -> str:
         radius = "" if self.effective_radius is None else ", effective radius known"

@@ -179,11 +179,7 @@ def _read(request: Request) -> tuple[ReconstructSettings, Measurements, dict[str
 
 def _read_measurements(path: Path) -> tuple[Measurements, dict[str, Any]]:
     """Images, and the settings they were made with; images from elsewhere have none."""
-    measurements = read_measurements(path)
-    try:
-        return measurements, read_settings(path)
-    except DataError:
-        return measurements, {}
+    return read_measurements(path), read_settings(path, required=False)
 
 
 def execute(job: Job) -> Outcome:

@@ -28,14 +28,14 @@ TOLERANCE = 1e-3
 _LARGEST_GUESSED_STEP, _HIGHEST_GUESSED = 0.5, 25.0
 
 _NAMES = {
-    "x": r"n?x([tmcfh]|\d+|_.*|dim|axis|coord.*|cent.*|pos)?|west_east|lon|longitude|rlon|easting|ni",
-    "y": r"n?y([tmcfh]|\d+|_.*|dim|axis|coord.*|cent.*|pos)?|south_north|lat|latitude|rlat|northing|nj",
-    "z": r"n?z([tmcfh]|\d+|_.*|dim|axis|coord.*|cent.*|pos)?|nk|height.*|altitude.*|alt|depth|plev|pressure|sigma|eta|"
-    r"(bottom_top|top_bottom)(_stag)?|i?lev(els?)?|level_.*|model_level.*|layers?",
+    "x": r"n?x([tmcfhu]|\d+|_.*|dim|axis|coord.*|cent.*|pos)?|west_east|lon|longitude|rlon|easting|ni",
+    "y": r"n?y([tmcfhv]|\d+|_.*|dim|axis|coord.*|cent.*|pos)?|south_north|lat|latitude|rlat|northing|nj",
+    "z": r"n?z([tmcfh]|[uw](_.*)?|\d+|_.*|dim|axis|coord.*|cent.*|pos)?|nk|height.*|altitude.*|alt|depth|"
+    r"plev|pressure|sigma|eta|(bottom_top|top_bottom)(_stag)?|i?lev(els?)?|level_.*|model_level.*|layers?",
     "t": r"time.*|t|xtime|record|nt|date.*|ntime.*|tstep|step",
 }
 # Vertical names that without units may as well be of anything else: numbers, pressures, sigma.
-_HEIGHTS = re.compile(r"n?z([tmcfh]|\d+|_.*|dim|axis|coord.*|cent.*|pos)?|height.*|altitude.*|alt")
+_HEIGHTS = re.compile(r"n?z([tmcfh]|[uw](_.*)?|\d+|_.*|dim|axis|coord.*|cent.*|pos)?|height.*|altitude.*|alt")
 _STANDARD_NAMES = {
     "x": r"projection_x_coordinate|grid_longitude|longitude|easting",
     "y": r"projection_y_coordinate|grid_latitude|latitude|northing",

@@ -10,7 +10,7 @@ import numpy as np
 
 from cloudtomo_cl.errors import DataError, InvalidSettingError
 from cloudtomo_cl.files.axes import TOLERANCE, Axis, read_axis
-from cloudtomo_cl.files.missing import filled, require_present, undeclared_fill
+from cloudtomo_cl.files.missing import require_present, undeclared_fill
 from cloudtomo_cl.files.netcdf import (
     AXES,
     Source,
@@ -21,6 +21,7 @@ from cloudtomo_cl.files.netcdf import (
     number_variable,
     save_dataset,
 )
+from cloudtomo_cl.scene.arrays import filled
 from cloudtomo_cl.scene.grid import Grid
 
 if TYPE_CHECKING:
@@ -211,7 +212,7 @@ def write_extinction(
 
     Raises
     ------
-    DataError : extinction of another shape or not finite; the file cannot be written
+    DataError : as `extinction_dataset`; the file cannot be written
     """
     save_dataset(path, extinction_dataset(grid, extinction, attributes, effective_radius, name_of(path)))
 
@@ -235,7 +236,7 @@ def extinction_dataset(
 
     Raises
     ------
-    DataError : extinction of another shape or not finite
+    DataError : extinction of another shape, negative or not finite; a radius that is missing in the cloud
     """
     import xarray as xr
 
@@ -252,6 +253,7 @@ def extinction_variables(
         raise DataError(f"{path}: extinction has shape {extinction.shape}, the grid {grid.shape}")
     if not np.isfinite(extinction).all():
         raise DataError(f"{path}: extinction is not finite everywhere: it is not written")
+    check_extinction(path, "extinction", extinction)
     # Without the attribute axis for x and y: VTK's reader (ParaView) takes them for longitude and latitude then.
     standard = {
         "x": {"standard_name": "projection_x_coordinate", "long_name": "voxel centre along x (east)"},
@@ -270,7 +272,11 @@ def extinction_variables(
     }
     variables: dict[str, Any] = {"extinction": (WRITTEN_AXES, extinction.T.astype(np.float32), described)}
     if effective_radius is not None:
+        effective_radius = filled(effective_radius)
+        if effective_radius.shape != grid.shape:
+            raise DataError(f"{path}: effective_radius has shape {effective_radius.shape}, the grid {grid.shape}")
+        check_radius(path, effective_radius, extinction > 0)
         described = {"long_name": "effective radius of the cloud's droplets", "units": "um"}
         described["standard_name"] = "effective_radius_of_cloud_liquid_water_particles"
-        variables["effective_radius"] = (WRITTEN_AXES, filled(effective_radius).T.astype(np.float32), described)
+        variables["effective_radius"] = (WRITTEN_AXES, effective_radius.T.astype(np.float32), described)
     return variables, coordinates

@@ -55,6 +55,13 @@ VIEW_FIELDS: dict[str, tuple[tuple[str, ...], str, str]] = {
     "end": (("axis",), "km", "end of the flight track of a push-broom image, at its top"),
     "along_track_angle": ((), "degree", "angle from nadir of a push-broom scanner's look, positive ahead"),
 }
+# Of lengths and angles without units, the largest that are taken as km and the smallest as degrees: heights and
+# distances of kilometres, angles that in radians are no directions. What else they are, somebody must say.
+_LARGEST_GUESSED, _SMALLEST_GUESSED = 100.0, 2 * np.pi
+# Of radiances and errors without units, the largest typical error that is taken to be in the radiances' unit, in these.
+_LARGEST_GUESSED_ERROR = 2.0
+# Numbers that no key of a view has, by which programs mark that there is none.
+_MARKS = (-999.0, -999.9, -9999.0, -9999.9, -99999.0, -32767.0, -32768.0)
 # Only in files whose views have them.
 OPTIONAL_VIEW_FIELDS = ("aspect", "start", "end", "along_track_angle")
 # Rays of the views that are lists of rays, one after the other.
@@ -185,6 +192,7 @@ def read_measurements(source: Source) -> Measurements:
     dataset = components_in_order(path, dataset)
     dims = ("view", "row", "column")
     radiance, error = (_radiances(path, dataset, name) for name in ("radiance", "radiance_standard_error"))
+    _require_units_of_both(path, dataset)
     if "valid" in dataset.variables:
         if dataset["valid"].dtype.kind == "b":
             dataset = dataset.assign(valid=dataset["valid"].astype(np.int8))
@@ -236,6 +244,24 @@ def _radiances(path: Any, dataset: xr.Dataset, name: str) -> xr.DataArray:
     return variable.astype(np.float64) * unit_factor(path, variable, RADIANCE_UNITS)
 
 
+def _require_units_of_both(path: Any, dataset: xr.Dataset) -> None:
+    """Refuses radiances with units beside errors without any, and the reverse: the absent ones may be others."""
+    names = ("radiance", "radiance_standard_error")
+    stated = [factor_of(path, name, dataset[name].attrs.get("units"), RADIANCE_UNITS)[1] for name in names]
+    if stated[0] != stated[1]:
+        without, other = names[stated.index(False)], names[stated.index(True)]
+        units = dataset[other].attrs["units"]
+        raise DataError(f"{path}: {without} has no units, and {other} is in '{units}': set its attribute units")
+    values, errors = (np.abs(dataset[name].values.astype(np.float64)) for name in names)
+    values, errors = values[np.isfinite(values)], errors[np.isfinite(errors)]
+    guessed = not any(stated) and values.size > 0 and errors.size > 0
+    if guessed and np.median(errors) > _LARGEST_GUESSED_ERROR * np.median(values):
+        raise DataError(
+            f"{path}: radiance and radiance_standard_error have no units, and the errors are larger than the "
+            f"radiances: set their attributes units"
+        )
+
+
 def _valid(path: Any, flags: xr.DataArray) -> xr.DataArray:
     """Which pixels a variable `valid` calls good: those where it is 1."""
     values = flags.values
@@ -269,14 +295,22 @@ def _refuse_unlikely(path: Any, radiance: np.ndarray, error: np.ndarray) -> None
         )
 
 
-def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
+def read_settings(path: str | os.PathLike[str], required: bool = True) -> dict[str, Any]:
     """The settings that were written with a file of measurements.
+
+    Parameters
+    ----------
+    path : of the file
+    required : whether a file without any, from elsewhere, is refused; otherwise it has an empty table
 
     Raises
     ------
     DataError : no such file, not netCDF; no attribute `settings`, or it is not a JSON table
+    SettingsError : a number in it cannot be
     """
     text = load_dataset(path).attrs.get("settings")
+    if text is None and not required:
+        return {}
     if text is None:
         raise DataError(f"{path}: no attribute settings: the file was written without them")
     try:
@@ -291,12 +325,14 @@ def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 @dataclass(frozen=True, config=ConfigDict(strict=True, extra="ignore"))
 class _StoredNumbers:
-    """What files keep of how they were made, beside the tables that have models of their own."""
+    """What files keep of how they were made, beside the tables that have models of their own.
+
+    `iteration` is the random numbers' stream: files keep the name that they have always had.
+    """
 
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     samples: Annotated[int, Field(ge=1, lt=2**31)] = 1
     iteration: Annotated[int, Field(ge=0, lt=2**32)] = 0
-    stream: Annotated[int, Field(ge=0, lt=2**32)] = 0
     target_error: Annotated[float, Field(gt=0, lt=10)] = 1.0
     photons: Annotated[float, Field(ge=1, le=1e15)] = 1.0
     cloud_file: str = ""
@@ -359,10 +395,9 @@ def read_rays(path: str | os.PathLike[str]) -> RayView:
     """
     dataset = components_in_order(path, load_dataset(path))
     dims = ("ray", "axis")
-    origin, direction = (number_variable(path, dataset, name, dims) for name in ("origin", "direction"))
     fields: dict[str, Any] = {
-        "origins": origin.values.astype(np.float64) * unit_factor(path, origin, "km"),
-        "directions": direction.values,
+        "origins": _in_unit(path, dataset, "origin", dims, "km"),
+        "directions": _in_unit(path, dataset, "direction", dims, "1"),
     }
     if "image_width" in dataset.attrs:
         fields["pixels"] = tuple(np.ravel(dataset.attrs.get(name, 1))[0] for name in ("image_width", "image_height"))
@@ -378,29 +413,68 @@ def _first_error(errors: Sequence[Any]) -> str:
     return f"{where}: {first['msg']}" if where else str(first["msg"])
 
 
-def _in_unit(path: Any, variable: xr.DataArray, ours: str) -> np.ndarray:
-    """A field of views in our unit, exactly as it is stored where it is in that unit."""
+def _in_unit(path: Any, dataset: xr.Dataset, name: str, dims: tuple[str, ...], ours: str) -> np.ndarray:
+    """A field of views in our unit, exactly as it is stored where it is in that unit.
+
+    Raises
+    ------
+    DataError : the unit is of something else; or it is absent, and other fields state another, or the numbers may as
+        well be in another
+    """
+    variable = number_variable(path, dataset, name, dims)
     values = variable.values.astype(np.float64)
-    factor, _ = factor_of(path, str(variable.name), variable.attrs.get("units"), ours)
+    factor, stated = factor_of(path, name, variable.attrs.get("units"), ours)
+    # One coordinate of a place may be -999 m; all three are not.
+    marks = np.isin(values, _MARKS)
+    marks = marks.all(axis=-1, keepdims=True) & marks if marks.ndim == 2 else marks
+    marks |= np.abs(values) >= _BEYOND_RADIANCES
+    if marks.any():
+        raise DataError(f"{path}: {name} has {values[marks][0]:g}: if that means missing, say so with _FillValue")
+    if not stated and ours in ("km", "degree") and np.isfinite(values).any():
+        largest = float(np.nanmax(np.abs(values)))
+        others = [other for other in (*VIEW_FIELDS, *RAY_FIELDS) if _states_another(path, dataset, other, ours)]
+        small = ours == "degree" and 0 < largest <= _SMALLEST_GUESSED
+        if others or small or (ours == "km" and largest > _LARGEST_GUESSED):
+            why = f"{others[0]} has others than {ours}" if others else f"its largest number is {largest:g}"
+            raise DataError(f"{path}: {name} has no units, and {why}: set its attribute units, for instance to {ours}")
     return values if factor == 1.0 else values * factor
+
+
+def _states_another(path: Any, dataset: xr.Dataset, name: str, ours: str) -> bool:
+    """Whether a field of a file is in another unit of the same kind."""
+    if name not in dataset.variables:
+        return False
+    unit, wanted = parse_unit(dataset[name].attrs.get("units")), parse_unit(ours)
+    assert wanted is not None
+    return unit is not None and unit.dimension == wanted.dimension and unit != wanted
+
+
+def _names_of_views(path: Any, dataset: xr.Dataset) -> list[str]:
+    """What kind each view is, also where a file has characters without an encoding."""
+    if "view_type" not in dataset.variables or dataset["view_type"].dims != ("view",):
+        raise DataError(f"{path}: no variable view_type(view)")
+    kinds = [
+        kind.decode("utf-8", "replace") if isinstance(kind, bytes) else kind for kind in dataset["view_type"].values
+    ]
+    return [str(kind).strip(" \0") for kind in kinds]
 
 
 def _views(path: Any, dataset: xr.Dataset, heights: np.ndarray, widths: np.ndarray) -> tuple[View, ...]:
     """The views from their fields; a field that is NaN was not given."""
-    if "view_type" not in dataset.variables or dataset["view_type"].dims != ("view",):
-        raise DataError(f"{path}: no variable view_type(view)")
+    kinds = _names_of_views(path, dataset)
     fields = {
-        name: _in_unit(path, number_variable(path, dataset, name, ("view", *extra)), unit)
+        name: _in_unit(path, dataset, name, ("view", *extra), unit)
         for name, (extra, unit, _) in VIEW_FIELDS.items()
         if name not in OPTIONAL_VIEW_FIELDS or name in dataset.variables
     }
-    kinds = dataset["view_type"].values
     first_ray, rays = 0, {}
     if "rays" in kinds:
         rays = {
-            field: _in_unit(path, number_variable(path, dataset, name, ("ray", "axis")), unit)
-            for name, (field, unit, _) in RAY_FIELDS.items()
+            field: _in_unit(path, dataset, name, ("ray", "axis"), unit) for name, (field, unit, _) in RAY_FIELDS.items()
         }
+        wanted = sum(int(width) * int(height) for kind, width, height in zip(kinds, widths, heights) if kind == "rays")
+        if wanted != dataset.sizes["ray"]:
+            raise DataError(f"{path}: has {dataset.sizes['ray']} rays for {wanted} pixels of the views of type rays")
     adapter: TypeAdapter[Any] = TypeAdapter(View)
     views = []
     for index, kind in enumerate(kinds):

@@ -171,15 +171,6 @@ def decode_all(path: Any, dataset: xr.Dataset) -> xr.Dataset:
     return xr.Dataset(others, coordinates, dataset.attrs)
 
 
-def filled(values: Any) -> np.ndarray:
-    """An array with NaN where a masked array is masked; any other array as it is."""
-    if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
-        if values.dtype.kind not in "f":
-            values = values.astype(np.float64)
-        return np.ma.filled(values, np.nan)
-    return np.asarray(values)
-
-
 def require_present(path: Any, name: str, values: np.ndarray, remedy: str, among: np.ndarray | None = None) -> None:
     """Refuses missing values.
 

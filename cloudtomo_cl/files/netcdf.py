@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -40,6 +41,8 @@ Source = Union[str, "os.PathLike[str]", "xr.Dataset", "xr.DataArray"]
 # A file that claims to hold so many bytes for each of its own holds nothing: what is compressed best (zeros, by
 # deflate) has 1000.
 LARGEST_COMPRESSION = 2000
+# Attributes by which others than CF pack numbers.
+_OTHER_SCALES = re.compile(r"(.*_)?(scales?|scaling|offsets?|slope|intercept|gain)(_?factor)?", re.I)
 # Below this, no claim takes time or memory.
 HARMLESS = 1 << 26
 
@@ -215,9 +218,20 @@ def number_variable(path: Any, dataset: xr.Dataset, name: str, dims: tuple[str, 
             f"{path}: {name} has dimensions ({', '.join(map(str, variable.dims))}), "
             f"it must have ({', '.join(dims)}) in any order"
         )
-    if variable.dtype.kind not in "fiu":
-        raise DataError(f"{path}: {name} has type {variable.dtype}, it must hold numbers")
+    require_numbers(path, variable)
     return variable.transpose(*dims)
+
+
+def require_numbers(path: Any, variable: xr.DataArray) -> None:
+    """Refuses what is no numbers, and counts that a scale of another name than CF's makes into something else."""
+    if variable.dtype.kind not in "fiu":
+        raise DataError(f"{path}: {variable.name} has type {variable.dtype}, it must hold numbers")
+    for name in variable.attrs:
+        if variable.attrs[name] is not None and _OTHER_SCALES.fullmatch(str(name)):
+            raise DataError(
+                f"{path}: {variable.name} has the attribute {name}, by which its numbers are something else: unpack "
+                f"them, or use scale_factor and add_offset"
+            )
 
 
 def unit_factor(path: Any, variable: xr.DataArray, ours: str) -> float:

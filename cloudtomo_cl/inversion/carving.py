@@ -25,6 +25,10 @@ _QUIET_PERCENTILE = 25.0
 # Up to where noise may raise the tolerance, in contrasts. Beyond, noisy ground counts as cloudy:
 # with 3 a cloud lost 1.4 % of its mass in images of 24x24 pixels and 256 samples.
 _LOOSEST = 2.5
+# Errors of rendered pixels are pooled up to three pixels away, so that those of clear ones beside a cloud are its own:
+# here a pixel's is the one that the quietest tenth of such a neighbourhood has. With the errors as they are, twice as
+# many voxels were left; with the least of them, a cloud lost 0.6 % of its mass.
+_POOLED, _QUIETEST = 7, 10.0
 
 # Paths per pixel of the cloud-free images that carving compares with. Without air only the horizon makes them noisy.
 _CLEAR_SAMPLES, _CLEAR_SAMPLES_IN_AIR = 16, 256
@@ -89,7 +93,10 @@ def cloudy_pixels(
     if not (contrast >= 0 and significance >= 0):
         raise DataError(f"contrast is {contrast} and significance {significance}: neither may be negative")
     differences = [np.abs(image - ground) for image, ground in zip(measurements.images, cloud_free.images)]
-    errors = [np.hypot(*pair) for pair in zip(measurements.standard_errors, cloud_free.standard_errors)]
+    errors = [
+        np.hypot(error if isinstance(view, RayView) else _of_the_quietest(error), other)
+        for view, error, other in zip(measurements.views, measurements.standard_errors, cloud_free.standard_errors)
+    ]
     gains = zip(errors, measurements.images, measurements.calibration_errors)
     errors = [np.hypot(error, image * gain) if gain else error for error, image, gain in gains]
     scales = np.array([np.nanpercentile(difference, _SCALE_PERCENTILE) for difference in differences])
@@ -106,6 +113,20 @@ def cloudy_pixels(
         # Invalid pixels open no way to their neighbours.
         cloudy.append((differs if isinstance(view, RayView) else _filled(differs)) | bad)
     return tuple(cloudy)
+
+
+def _of_the_quietest(error: np.ndarray) -> np.ndarray:
+    """The errors of pixels without what was pooled into them from noisier neighbours; where unknown, beyond all.
+
+    A pixel that is alone with its error has it from nobody else, and keeps it.
+    """
+    from scipy.ndimage import maximum_filter, percentile_filter
+
+    error = np.where(np.isnan(error), np.inf, error)
+    touching = np.ones((3, 3), bool)
+    touching[1, 1] = False
+    alone = error > 2 * maximum_filter(error, footprint=touching)
+    return np.where(alone, error, percentile_filter(error, _QUIETEST, size=_POOLED))
 
 
 def _filled(pixels: np.ndarray) -> np.ndarray:

@@ -46,9 +46,19 @@ class ActivePixels:
         return neighbours(self.views, self.listed) @ self.radiance
 
     @cached_property
+    def error(self) -> np.ndarray:
+        """Root mean square of the standard errors of a pixel and its neighbours, where they are known, shape (pixels,).
+
+        Errors that came with the radiance, from the same few paths or electrons, are smallest where it is too dark.
+        """
+        around, known = neighbours(self.views, self.listed), self.standard_error > 0
+        mean, share = around @ self.standard_error**2, around @ known.astype(np.float64)
+        return np.sqrt(np.divide(mean, share, out=np.zeros(len(self)), where=known))
+
+    @cached_property
     def weights(self) -> np.ndarray:
         """Of the data term, shape (pixels,)."""
-        return pixel_weights(self.level, self.standard_error)
+        return pixel_weights(self.level, self.error)
 
     @cached_property
     def variance(self) -> np.ndarray:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.files.missing import require_present
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.objective import AveragedImage
 from cloudtomo_cl.inversion.pixels import ActivePixels, active_pixels
@@ -16,6 +17,7 @@ from cloudtomo_cl.inversion.priors import BoundPrior, NoiseUnits, Prior, Regular
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
+from cloudtomo_cl.scene.arrays import filled
 from cloudtomo_cl.scene.grid import Grid, coarsened
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
@@ -187,14 +189,17 @@ class Problem:
         return self.operator.device.zeros(self.grid.shape, np.float32)
 
     def _checked(self, x: np.ndarray) -> np.ndarray:
-        x = np.asarray(x, float)
+        x = np.asarray(filled(x), float)
         if x.shape != (len(self.voxels),):
             raise DataError(f"x has shape {x.shape}: it must be ({len(self.voxels)},), the voxels of the mask")
         return x
 
 
 def checked_mask(mask: np.ndarray, grid: Grid) -> np.ndarray:
-    """A mask as bool. DataError if it is not of the grid, or leaves nothing."""
+    """A mask as bool. DataError if it is not of the grid, is missing in a voxel, or leaves nothing."""
+    mask = filled(mask)
+    if mask.dtype.kind == "f":
+        require_present("the mask", "cloud", mask, "say of every voxel whether it may hold cloud")
     mask = np.asarray(mask, bool)
     if mask.shape != grid.shape:
         raise DataError(f"mask has shape {mask.shape}, the grid {grid.shape}")

@@ -39,6 +39,7 @@ from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Grid, resample_in_mask
 from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.metrics import epsilon
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.seeds import checked_seed
 
@@ -220,6 +221,8 @@ def check(
     checked_seed(seed)
     if truth is not None and np.shape(truth) != scene.grid.shape:
         raise DataError(f"truth has shape {np.shape(truth)}, the grid {scene.grid.shape}")
+    if truth is not None:
+        epsilon(np.zeros(scene.grid.shape), truth)  # which refuses what is missing
     if mask is None and resume is not None:
         mask = resume.mask
     if mask is not None:

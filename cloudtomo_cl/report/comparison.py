@@ -5,11 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from cloudtomo_cl.scene.measurements import Measurements
-from cloudtomo_cl.scene.sensors import RayView
-
-# The noise of modelled pixels is taken from so many of them each way: a pixel's own few bright paths make it bright
-# and its error large, or are missed and leave both small, so that dark ones would seem certain.
-_WINDOW = 7
 
 
 def per_cent(measured: Measurements, modelled: Measurements) -> list[np.ndarray]:
@@ -19,14 +14,14 @@ def per_cent(measured: Measurements, modelled: Measurements) -> list[np.ndarray]
 
 
 def standard_errors(measured: Measurements, modelled: Measurements) -> list[np.ndarray]:
-    """Of the differences, W m^-2 sr^-1: measured noise, the gain's error, and the modelled paths' noise; 0: unknown."""
+    """Of the differences, W m^-2 sr^-1: measured noise, the gain's error, and the modelled paths' noise; 0: unknown.
+
+    Errors of rendered images are pooled over neighbours already (`Measurements.rendered`).
+    """
     errors = []
-    for index, view in enumerate(measured.views):
-        gain = measured.calibration_errors[index] * np.nan_to_num(measured.images[index])
-        rendered = modelled.standard_errors[index]
-        if not isinstance(view, RayView):
-            rendered = _of_neighbours(rendered)
-        errors.append(np.sqrt(measured.standard_errors[index] ** 2 + gain**2 + rendered**2))
+    for index, error in enumerate(measured.calibration_errors):
+        gain = error * np.nan_to_num(measured.images[index])
+        errors.append(np.sqrt(measured.standard_errors[index] ** 2 + gain**2 + modelled.standard_errors[index] ** 2))
     return errors
 
 
@@ -37,11 +32,3 @@ def in_standard_errors(measured: Measurements, modelled: Measurements) -> list[n
         nothing = np.full(image.shape, np.nan)
         differences.append(np.divide(model - image, error, out=nothing, where=error > 0))
     return differences
-
-
-def _of_neighbours(error: np.ndarray) -> np.ndarray:
-    """The root mean square over windows of neighbours."""
-    from scipy.ndimage import uniform_filter
-
-    # The filter's running sums leave rounding where there is nothing.
-    return np.sqrt(np.maximum(uniform_filter(error**2, _WINDOW, mode="nearest"), 0.0))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.scene.arrays import filled
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
 
 # g m^-3.
@@ -87,7 +88,7 @@ def extinction_from_water(
         the table, where there is water
     """
     water, radius = np.broadcast_arrays(
-        np.asarray(liquid_water_content, dtype=np.float64), np.asarray(effective_radius, dtype=np.float64)
+        *(np.asarray(filled(values), np.float64) for values in (liquid_water_content, effective_radius))
     )
     if not (np.isfinite(water) & (water >= 0)).all():
         raise DataError("liquid_water_content must be finite and at least 0 g m^-3 everywhere")

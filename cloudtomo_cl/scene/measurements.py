@@ -10,8 +10,10 @@ import numpy as np
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.renamed import renamed_attributes
+from cloudtomo_cl.scene.arrays import filled
 from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.grid import resample
+from cloudtomo_cl.scene.pixel_errors import pooled_standard_errors
 from cloudtomo_cl.scene.sensors import RayView, View
 
 # Share of a larger pixel that must not be bad: half, up to rounding.
@@ -47,17 +49,19 @@ class Measurements:
 
     @classmethod
     def rendered(cls, operator: _Renders, rendering: Any) -> Measurements:
-        """All pixels of a `Rendering` by a `RadianceOperator` as images."""
-        images, errors = (tuple(operator.images(values)) for values in (rendering.mean, rendering.standard_error))
-        return cls(operator.views, images, errors)
+        """All pixels of a `Rendering` by a `RadianceOperator` as images.
+
+        The standard errors are pooled over neighbours (`pixel_errors`): as error bars and as weights they hold where
+        the rendering's own, of a pixel's own few paths, do not.
+        """
+        images, errors = (operator.images(values) for values in (rendering.mean, rendering.standard_error))
+        samples = operator.images(np.broadcast_to(np.asarray(rendering.samples, np.float64), rendering.mean.shape))
+        return cls(operator.views, tuple(images), tuple(map(pooled_standard_errors, errors, samples)))
 
     def __post_init__(self) -> None:
         for name in ("images", "standard_errors"):
             # A masked pixel is a bad one.
-            arrays = getattr(self, name)
-            if any(isinstance(array, np.ma.MaskedArray) for array in arrays):
-                plain = tuple(np.ma.filled(np.ma.asarray(array, np.float64), np.nan) for array in arrays)
-                object.__setattr__(self, name, plain)
+            object.__setattr__(self, name, tuple(map(filled, getattr(self, name))))
         if not self.views:
             raise DataError("measurements: there is no view: at least one image is needed")
         for name, arrays in (("images", self.images), ("standard_errors", self.standard_errors)):

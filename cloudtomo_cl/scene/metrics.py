@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.scene.arrays import filled
 
 
 def _checked(estimate: Any, truth: Any) -> tuple[np.ndarray, np.ndarray, float]:
     """Both arrays in double precision, and the optical mass of the truth."""
-    estimate = np.asarray(estimate, dtype=np.float64)
-    truth = np.asarray(truth, dtype=np.float64)
+    estimate, truth = (np.asarray(filled(values), dtype=np.float64) for values in (estimate, truth))
     if estimate.shape != truth.shape:
         raise DataError(
             f"estimate has shape {estimate.shape}, truth {truth.shape}: "

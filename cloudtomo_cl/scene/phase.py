@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.messages import answering
+from cloudtomo_cl.scene.arrays import filled
 
 # A table's integral may be off by this much: rounded values and coarse angles pass, another
 # normalisation does not.
@@ -170,8 +171,8 @@ class TabulatedPhaseFunction:
         ------
         ValueError : a row whose integral is zero or not finite, and as the class does
         """
-        angle = np.asarray(angle, dtype=np.float64)
-        values = np.atleast_2d(np.asarray(values, dtype=np.float64))
+        angle = np.asarray(filled(angle), dtype=np.float64)
+        values = np.atleast_2d(np.asarray(filled(values), dtype=np.float64))
         if angle.ndim == 1 and values.shape[1:] == angle.shape and len(angle) >= 2:
             integral = sphere_integral(angle, values)
             if not (np.isfinite(integral) & (integral > 0)).all():

@@ -21,11 +21,10 @@ def all_pixels(views: Sequence[View]) -> np.ndarray:
     ).astype(np.uint32)
 
 
-def neighbours(views: Sequence[View], pixels: np.ndarray, lists: bool = False) -> scipy.sparse.csr_matrix:
+def neighbours(views: Sequence[View], pixels: np.ndarray) -> scipy.sparse.csr_matrix:
     """The mean over a pixel and those of the listed pixels that touch it in its image.
 
-    Returns a matrix (pixels, pixels), float32; rays of a `RayView` have no neighbours, unless `lists` says that
-    they lie side by side in the order of its pixels.
+    Returns a matrix (pixels, pixels), float32; rays of a `RayView` have no neighbours.
     """
     import scipy.sparse
 
@@ -36,7 +35,7 @@ def neighbours(views: Sequence[View], pixels: np.ndarray, lists: bool = False) -
         place = np.full((height + 2, width + 2), -1)
         at = np.divmod(pixels[chosen, 1].astype(int), width)
         place[at[0] + 1, at[1] + 1] = chosen
-        reach = (0,) if isinstance(view, RayView) and not lists else (-1, 0, 1)
+        reach = (0,) if isinstance(view, RayView) else (-1, 0, 1)
         for down in reach:
             for right in reach:
                 other = place[at[0] + 1 + down, at[1] + 1 + right]

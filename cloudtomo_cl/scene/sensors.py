@@ -18,6 +18,7 @@ from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, WithJso
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.messages import answering
+from cloudtomo_cl.scene.arrays import filled
 from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.grid import Count, Grid, Length, Triple
 from cloudtomo_cl.scene.scene import Angle, Scene, direction
@@ -26,6 +27,8 @@ Pixels = tuple[Count, Count]
 # Positions have single precision in the kernels: at this distance, km, that is 8 m. Images of a cloud of 0.8 km in 24
 # pixels have the mean of an orthographic view to 0.1 % up to there, and single pixels to 5 %.
 FARTHEST = 1e5
+# Sine of the angle below the horizon from which on rays of an orthographic view can be taken up above the domain.
+_SHALLOW = 0.05
 
 
 def _require_near(name: str, position: Triple) -> None:
@@ -210,6 +213,8 @@ class OrthographicView(AffineView):
         if self.position is not None:
             if self.target is None:
                 raise ValueError("position needs a target")
+            if self._sight()[2] > -_SHALLOW:
+                _require_near("position", self.position)
         right, up = self._axes()
         if self.position is not None:
             lowest = self.position[2] - self.width / 2 * (abs(right[2]) + self._aspect * abs(up[2]))
@@ -294,7 +299,8 @@ class PushBroomView(AffineView):
 
     @model_validator(mode="after")
     def _check(self) -> PushBroomView:
-        if self.start[2] != self.end[2]:
+        # Heights that a file has in metres or feet differ by rounding.
+        if not np.isclose(self.start[2], self.end[2], rtol=1e-9, atol=0.0):
             raise ValueError(f"start is at {self.start[2]} km, end at {self.end[2]} km: the track must be level")
         if self.start[:2] == self.end[:2]:
             raise ValueError("start and end are the same point: move one of them")
@@ -359,7 +365,7 @@ class RadiometerView(AffineView):
 def _rows_of_three(values: Any) -> np.ndarray:
     """A copy that cannot be written to, so that a view stays what it was."""
     try:
-        array = np.array(values, dtype=np.float64)
+        array = np.array(filled(values), dtype=np.float64)
     except (TypeError, ValueError):
         raise ValueError("must be an array of numbers of shape (rays, 3)") from None
     if array.ndim != 2 or array.shape[1] != 3 or not len(array):

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.files.missing import require_present
 from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.opencl.layout import scene_struct
+from cloudtomo_cl.scene.arrays import filled
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
 from cloudtomo_cl.scene.scene import Scene
 
@@ -54,7 +56,8 @@ class Medium:
     scene : grid, optics, sun, air, surface, boundary
     device : where they are
     effective_radius : of the droplets, micrometres, shape of the grid, for a phase table of
-        several radii; by default the scene's one. Where it is 0 or NaN there are no droplets
+        several radii; by default the scene's one. Where it is 0, NaN or masked there are no droplets, and an
+        extinction is refused
     side_flights : whether paths send flights towards the sun
     truncation : the largest local estimate, sr^-1
     mask : bool, shape of the grid; where it is False every extinction is to be 0, and walks skip
@@ -86,7 +89,8 @@ class Medium:
             for skips in (False, True)
         }
         self._profiles = device.constant(profiles(scene))
-        self._table_row = device.constant(table_rows(scene, effective_radius))
+        rows, self._radius = table_rows(scene, effective_radius)
+        self._table_row = device.constant(rows)
         self._nothing_empty = device.constant(np.zeros(1, np.uint8))
         self._empty_by_mask = None if mask is None or self._has_air else self._clear(mask)
         self.features = tuple(
@@ -118,9 +122,9 @@ class Medium:
 
         Raises
         ------
-        DataError : another shape, a value that is negative, not finite or beyond any cloud's, or
-            above 0 outside of the mask; a field of another medium, or one that skips zeros where
-            gradients are wanted
+        DataError : another shape, a value that is missing, negative, not finite or beyond any cloud's, or above 0
+            outside of the mask or where the droplets' size is missing; a field of another medium, or one that skips
+            zeros where gradients are wanted
         """
         if isinstance(extinction, FilledMedium):
             if extinction._medium is not self:
@@ -134,8 +138,11 @@ class Medium:
         if self.device.is_array(extinction):
             beta = extinction
         else:
-            values = np.ascontiguousarray(extinction, np.float32)
+            values = np.ascontiguousarray(filled(extinction), np.float32)
             check_extinction(values)
+            if self._radius is not None:
+                remedy = "a cloudy voxel must know its droplets' size: set its extinction to 0, or give it one"
+                require_present("rendering", "effective_radius", self._radius, remedy, values > 0)
             check_depth(values, min(self.scene.grid.spacing))
             if self.mask is not None and values[~self.mask].any():
                 raise DataError("extinction is above 0 outside of the mask: set it to 0 there, or widen the mask")
@@ -243,18 +250,21 @@ def profiles(scene: Scene) -> np.ndarray:
     return np.concatenate([np.ravel(part) for part in parts]).astype(np.float32)
 
 
-def table_rows(scene: Scene, effective_radius: np.ndarray | None) -> np.ndarray:
-    """Every voxel's place in the phase table: a row, or between two. One entry if there is one row."""
+def table_rows(scene: Scene, effective_radius: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
+    """Every voxel's place in the phase table: a row, or between two. One entry if there is one row.
+
+    Also the radii, NaN where they are missing, if they are so anywhere; otherwise None.
+    """
     phase = scene.cloud.phase_function
     if not isinstance(phase, TabulatedPhaseFunction) or len(phase.values) == 1:
-        return np.zeros(1, np.float32)
+        return np.zeros(1, np.float32), None
     radius = effective_radius if effective_radius is not None else scene.cloud.effective_radius
     if radius is None:
         raise DataError(
             f"the phase function has {len(phase.values)} effective radii: give cloud.effective_radius, or the "
             "effective_radius of every voxel (micrometres)"
         )
-    radius = np.asarray(radius, dtype=float)
+    radius = np.asarray(filled(radius), dtype=float)
     if radius.ndim and radius.shape != scene.grid.shape:
         raise DataError(f"effective_radius has shape {radius.shape}, the grid {scene.grid.shape}")
     least, most = phase.effective_radius[0], phase.effective_radius[-1]
@@ -266,4 +276,5 @@ def table_rows(scene: Scene, effective_radius: np.ndarray | None) -> np.ndarray:
             f"{most:g} um: make a table of more radii, or limit the radii"
         )
     rows = np.interp(np.where(clear, least, radius), phase.effective_radius, np.arange(len(phase.values)))
-    return np.ascontiguousarray(np.broadcast_to(rows, scene.grid.shape), np.float32)
+    missing = np.where(clear, np.nan, radius) if clear.any() else None
+    return np.ascontiguousarray(np.broadcast_to(rows, scene.grid.shape), np.float32), missing

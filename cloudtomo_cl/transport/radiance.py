@@ -51,7 +51,9 @@ class Rendering:
     Attributes
     ----------
     mean : W m^-2 sr^-1, shape (pixels,)
-    standard_error : of the mean, same unit and shape
+    standard_error : of the mean, same unit and shape, by the pixel's own paths: squares of it are unbiased, and sums
+        of them hold. As a pixel's error bar, or as its weight, with few paths it does not, for rare bright paths make
+        most of the light: `Measurements.rendered` has errors that do
     halves : means over even and over odd samples, shape (pixels, 2)
     samples : paths per pixel; an array (pixels,) if they differ (`adaptive.render_to_error`)
     seed, stream : what the paths were drawn with

@@ -144,9 +144,7 @@ def reconstructed(iterations: int) -> dict[str, float]:
     views = (case.view,)
     operator = ct.RadianceOperator(case.scene, views)
     images = operator.render(case.extinction, 64, 1)
-    measurements = ct.Measurements(
-        views, tuple(operator.images(images.mean)), tuple(operator.images(images.standard_error))
-    )
+    measurements = ct.Measurements.rendered(operator, images)
     stages = [ct.Stage(grid=(size,) * 3, iterations=iterations) for size in (16, 32)]
     marks: list[tuple[int, float, float]] = []
     begun: list[float] = []

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.scene.pixel_errors import pooled_standard_errors
-from cloudtomo_cl.scene.pixels import neighbours
 
 GRID = ct.Grid((12, 12, 12), (0.08, 0.08, 0.08))
 VIEWS = tuple(ct.OrthographicView(width=1.3, zenith=zenith, azimuth=210.0, pixels=(18, 18)) for zenith in (0.0, 50.0))
@@ -36,17 +34,36 @@ def kinds(radiance):
     return {"bright": radiance > bright, "dark": (radiance < 0.3 * bright) & (radiance > 1e-6)}
 
 
+def errors_of(operator, rendering):
+    """As files, reports and recoveries have them, in the order of the operator's pixels."""
+    return np.concatenate([error.ravel() for error in ct.Measurements.rendered(operator, rendering).standard_errors])
+
+
 @pytest.mark.parametrize("samples", REPEATS)
 def test_errors_of_pixels_hold_what_they_should(renderings, samples):
     """A hundred pixels a kind and repeat, whose errors are pooled: shares are known to about 0.03."""
     operator, truth, few = renderings
-    around = neighbours(operator.views, operator.pixels)
     for kind, chosen in kinds(truth.mean).items():
         assert chosen.sum() > 30, kind
         deviations = []
         for rendering in few[samples]:
-            error = pooled_standard_errors(rendering.standard_error, samples, around)
+            error = errors_of(operator, rendering)
             both = np.hypot(error, truth.standard_error)
             deviations.append(np.abs(rendering.mean - truth.mean)[chosen] / both[chosen])
         within = [np.mean(np.array(deviations) <= count) for count in (1, 2, 3)]
-        assert within[0] > 0.62 and within[1] > 0.90 and within[2] > 0.97, (kind, within)
+        assert within[0] > 0.62 and within[1] > 0.90 and within[2] > 0.95, (kind, within)
+
+
+def test_weights_by_errors_keep_the_brightness(renderings):
+    """Of the bright pixels, at 16 paths: their own errors make it a half or less, for what is dark is taken for sure.
+
+    The eight means of 70 pixels or more have a standard error of 0.03 together.
+    """
+    operator, truth, few = renderings
+    chosen = kinds(truth.mean)["bright"]
+    ratios, own_ratios = [], []
+    for rendering in few[16]:
+        for error, found in ((errors_of(operator, rendering), ratios), (rendering.standard_error, own_ratios)):
+            weights = np.maximum(error[chosen], 1e-9) ** -2.0
+            found.append((weights @ rendering.mean[chosen]) / (weights @ truth.mean[chosen]))
+    assert abs(np.mean(ratios) - 1) < 0.1 and np.mean(own_ratios) < 0.6

@@ -39,10 +39,7 @@ def rendered(grid, extinction, views, samples, sun=0.0, albedo=0.01):
     operator = RadianceOperator(scene, views)
 
     def measured(values, samples):
-        rendering = operator.render(values, samples)
-        return Measurements(
-            views, tuple(operator.images(rendering.mean)), tuple(operator.images(rendering.standard_error))
-        )
+        return Measurements.rendered(operator, operator.render(values, samples))
 
     return measured(extinction, samples), measured(np.zeros_like(extinction), 2 * samples)
 

@@ -7,6 +7,7 @@ import pytest
 
 import cloudtomo_cl as ct
 from cloudtomo_cl.errors import DataError, TransportError
+from cloudtomo_cl.inversion.reconstruct import check
 from cloudtomo_cl.inversion.run import Run
 
 STAGES = (
@@ -26,8 +27,7 @@ def problem(device):
     )
     operator = ct.RadianceOperator(scene, views, device)
     rendering = operator.render(extinction, 2048, seed=1)
-    images, errors = (tuple(operator.images(v)) for v in (rendering.mean, rendering.standard_error))
-    return scene, ct.Measurements(views, images, errors), extinction
+    return scene, ct.Measurements.rendered(operator, rendering), extinction
 
 
 def recover(problem, device, **options):
@@ -226,3 +226,12 @@ def test_a_start_that_light_never_leaves_is_refused(problem, device, name):
     """Its first render would never end."""
     with pytest.raises(DataError, match=f"solver.{name} is 1e.308 km.-1"):
         recover(problem, device, solver=ct.Adam(**{name: 1e308}))
+
+
+def test_automatic_stages_may_have_iterations_of_the_solver(problem, device):
+    """They were once refused as if the stages had been given."""
+    scene, measurements, _ = problem
+    solver = ct.GaussNewton(iterations=1)
+    check(scene, measurements, solver=solver, device=device)
+    result = ct.reconstruct(scene, measurements, solver=solver, mask=np.ones(scene.grid.shape, bool), device=device)
+    assert [record.stage for record in result.history].count(result.history[-1].stage) == 1

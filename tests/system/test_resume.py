@@ -33,8 +33,7 @@ def problem(device):
     )
     operator = ct.RadianceOperator(scene, views, device)
     rendering = operator.render(extinction, 64, seed=1)
-    images, errors = (tuple(operator.images(v)) for v in (rendering.mean, rendering.standard_error))
-    return scene, ct.Measurements(views, images, errors), extinction
+    return scene, ct.Measurements.rendered(operator, rendering), extinction
 
 
 def recover(problem, device, **options):

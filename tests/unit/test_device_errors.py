@@ -29,8 +29,7 @@ def own_device():
 def measurements(own_device):
     operator = ct.RadianceOperator(SCENE, VIEWS, own_device)
     rendering = operator.render(np.full(GRID.shape, 5.0, np.float32), 16)
-    images, errors = (tuple(operator.images(v)) for v in (rendering.mean, rendering.standard_error))
-    return ct.Measurements(VIEWS, images, errors)
+    return ct.Measurements.rendered(operator, rendering)
 
 
 class Failing:

@@ -1,6 +1,6 @@
 """One cloud in files that other programs' readers get wrong: read as what it is, or refused with what is wrong."""
 
-import importlib.util
+import importlib
 import random
 from pathlib import Path
 
@@ -430,12 +430,11 @@ def test_options_of_files_are_refused_with_generated_clouds(tmp_path, capsys, op
 # ---- many forms of one cloud
 
 
-def test_no_form_of_a_cloud_is_misread(tmp_path):
-    """A hundred files that scripts/fuzz_netcdf.py draws; the script draws thousands."""
-    script = Path(__file__).parents[2] / "scripts" / "fuzz_netcdf.py"
-    spec = importlib.util.spec_from_file_location("fuzz_netcdf", script)
-    fuzz = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(fuzz)
+@pytest.mark.parametrize("name", ["fuzz_netcdf", "fuzz_images"])
+def test_no_form_of_a_file_is_misread(tmp_path, monkeypatch, name):
+    """A hundred files that scripts/fuzz_netcdf.py and fuzz_images.py draw; the scripts draw thousands."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "scripts")
+    fuzz = importlib.import_module(name)
     results = []
     for number in range(100):
         writer = fuzz.Writer(random.Random(f"0 {number}"))

@@ -271,6 +271,74 @@ def test_stored_noise_is_checked_as_strictly_as_toml():
         noise_of_table(Path("images.nc"), {"full_well": "20000"})
 
 
+@pytest.mark.parametrize(
+    ("name", "factor", "message"),
+    [
+        ("position", 1e3, "position has no units, and its largest number is"),
+        ("width", 1e3, "width has no units, and its largest number is"),
+        ("zenith", np.pi / 180, "zenith has no units, and its largest number is"),
+        ("field_of_view", np.pi / 180, "field_of_view has no units"),
+        ("radiance", 1e3, "radiance has no units, and radiance_standard_error is in"),
+        ("radiance_standard_error", 1e3, "radiance_standard_error has no units, and radiance is in"),
+    ],
+)
+def test_a_field_without_units_is_ours_only_where_it_can_be_nothing_else(name, factor, message):
+    for units in ({}, {"units": ""}):
+        data = dataset()
+        with pytest.raises(DataError, match=message):
+            read_measurements(data.assign({name: (data[name].dims, data[name].values * factor, units)}))
+    if "radiance" not in name:
+        data[name].attrs.clear()
+        assert_same(read_measurements(data))
+
+
+def test_a_field_without_units_beside_others_in_metres_is_refused():
+    data = scaled(dataset(), "position", 1e3, "m")
+    data.target.attrs.clear()
+    with pytest.raises(DataError, match="target has no units, and position has others than km"):
+        read_measurements(data)
+
+
+def test_errors_without_units_that_are_larger_than_the_radiances_are_refused():
+    data = dataset()
+    data = data.assign(radiance_standard_error=data.radiance_standard_error * 1e3)
+    for name in ("radiance", "radiance_standard_error"):
+        data[name].attrs.clear()
+    with pytest.raises(DataError, match="the errors are larger than the radiances"):
+        read_measurements(data)
+
+
+@pytest.mark.parametrize("mark", [-999.0, -9999.0, 1e20])
+def test_a_mark_for_a_key_that_a_view_does_not_have_is_refused(mark):
+    data = dataset()
+    data.up.values[:] = mark
+    with pytest.raises(DataError, match="up has .*_FillValue"):
+        read_measurements(data)
+    assert_same(read_measurements(data.assign(up=(data.up.dims, data.up.values, {"missing_value": mark}))))
+
+
+@pytest.mark.parametrize("rays", [slice(0, 5), [0, 0, 1, 2, 3, 4, 5]])
+def test_as_many_rays_as_pixels_are_needed(rays):
+    with pytest.raises(DataError, match="rays for 6 pixels of the views of type rays"):
+        read_measurements(dataset().isel(ray=rays))
+
+
+def test_names_of_views_may_be_characters_without_an_encoding():
+    data = dataset()
+    kinds = np.array([kind.ljust(14).encode() for kind in data.view_type.values])
+    assert_same(read_measurements(data.assign(view_type=("view", kinds))))
+
+
+def test_damaged_settings_of_images_are_not_passed_over(tmp_path, capsys):
+    """Images from elsewhere have none; those that have some may not lose the scene that they were made with."""
+    dataset().assign_attrs(settings='{"scene": ').to_netcdf(tmp_path / "images.nc")
+    (tmp_path / "run.toml").write_text('[measurements]\nfile = "images.nc"\n[sun]\nzenith = 30.0\n')
+    command = ["reconstruct", str(tmp_path / "run.toml"), "--output", str(tmp_path / "run")]
+    assert main(command) == 2
+    assert "the attribute settings is not a JSON table" in capsys.readouterr().err
+    assert read_settings(dataset(), required=False) == {}
+
+
 @pytest.mark.parametrize("run", ["x", 5, [1]])
 def test_a_stored_run_that_is_no_table_is_named(tmp_path, capsys, run):
     stored = {"reconstruct": {"run": run}, "seed": 1}

@@ -6,8 +6,9 @@ import pytest
 import xarray as xr
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.files.missing import decode_all, filled
+from cloudtomo_cl.files.missing import decode_all
 from cloudtomo_cl.files.netcdf import load_dataset
+from cloudtomo_cl.scene.arrays import filled
 
 VALUES = np.array([1.0, 2.0, 3.0, 4.0])
 

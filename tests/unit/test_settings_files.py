@@ -14,7 +14,7 @@ from cloudtomo_cl.errors import SettingsError, printable
 from cloudtomo_cl.files.extinction import write_extinction
 from cloudtomo_cl.scene.formations import RingOfViews
 from cloudtomo_cl.scene.grid import Grid
-from cloudtomo_cl.scene.sensors import FARTHEST, PerspectiveView, PushBroomView
+from cloudtomo_cl.scene.sensors import FARTHEST, OrthographicView, PerspectiveView, PushBroomView
 from cloudtomo_cl.settings.tables import read_render_settings
 
 SCENE = """# Größe
@@ -100,6 +100,9 @@ def test_cameras_beyond_single_precision_are_refused():
     for position in ((0.0, 0.0, 1.01 * FARTHEST), (-1.01 * FARTHEST, 0.0, 1.0)):
         with pytest.raises(ValueError, match="position lies farther than 100000 km away.*orthographic"):
             PerspectiveView(position=position, **look)
+    for height in (0.4, 1000.0):  # level, and so shallow that its rays pass the domain's sides
+        with pytest.raises(ValueError, match="position lies farther than 100000 km away"):
+            OrthographicView(position=(2e6, 0.4, height), target=(0.4, 0.4, 0.4), width=0.5, pixels=(8, 8))
     with pytest.raises(ValueError, match="end lies farther than 100000 km away"):
         PushBroomView((0.0, 0.0, 1.0), (2 * FARTHEST, 0.0, 1.0), 30.0, (2, 2))
 
