@@ -181,8 +181,11 @@ IMAGES = {
     "infinite": (with_values("radiance", (1, 0, 0), np.inf), "images of view 1 are not finite at row 0, column 0"),
     "negative error": (with_values("radiance_standard_error", (0, 0, 0), -1.0), "standard_errors of view 0 are negat"),
     "another unit": (with_attribute("radiance", "units", "mW"), "radiance has units 'mW', allowed are W m-2 sr-1"),
-    "settings that are a number": (with_attribute(None, "settings", 5), "does not store [grid]"),
-    "settings that are a list": (with_attribute(None, "settings", [1, 2]), "does not store [grid]"),
+    "settings that are a number": (with_attribute(None, "settings", 5), "the attribute settings is not a JSON table"),
+    "settings that are a list": (
+        with_attribute(None, "settings", [1, 2]),
+        "the attribute settings is not a JSON table",
+    ),
     "scene that is a number": (with_attribute(None, "settings", '{"scene": 5}'), "what it stores as scene"),
     "scene that is wrong": (with_attribute(None, "settings", '{"scene": {"sun": 5}}'), "images.nc"),
     "view from its target": (

@@ -15,6 +15,7 @@ from cloudtomo_cl.inversion.jacobian_average import JacobianAverage
 from cloudtomo_cl.inversion.objective import cost_of_independent, noise_of
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.solvers.blas import with_one_blas_thread
+from cloudtomo_cl.inversion.solvers.parametrisation import Parametrisation
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
 from cloudtomo_cl.inversion.solvers.state import not_saved, of_any_length
 from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, standard_errors
@@ -84,6 +85,8 @@ class GaussNewton:
     damping : of the first steps, in shares of the data term's own curvature; it halves from step to step, down to
         a tenth
     inner_iterations : of the minimisation of the quadratic model
+    linear_depth : optical depth of a voxel beyond which its unknown is rather the logarithm of the extinction
+        (parametrisation.py); infinite: never
     """
 
     type: Literal["gauss-newton"] = "gauss-newton"
@@ -92,6 +95,7 @@ class GaussNewton:
     image_samples: Annotated[int, Field(ge=0)] = 5
     damping: NotNegative = 0.1
     inner_iterations: Count = 40
+    linear_depth: Positive = 0.5
 
     def stage_limits(self, last: bool) -> tuple[int, int]:
         """Iterations and window of an automatic stage."""
@@ -157,24 +161,27 @@ class GaussNewton:
         curvature = jacobian.curvature(weights)
         check_gradient(curvature, problem, stream)
         damping = self.damping * max(0.5 ** (state.iterations - 1), 0.1)
+        unknown = Parametrisation(self.linear_depth / float(np.mean(problem.grid.spacing)))
+        begin, slope = unknown.of(start), unknown.slope(start)
         stiff = curvature * (1 + damping) + problem.prior.curvature(start, units)
-        scale = 1 / np.sqrt(stiff + LEAST_CURVATURE * curvature.mean())
+        scale = 1 / (slope * np.sqrt(stiff + LEAST_CURVATURE * curvature.mean()))
 
         def model(scaled: np.ndarray) -> tuple[float, np.ndarray]:
-            values = scaled * scale
-            change = values - start
+            values = unknown.extinction(scaled * scale)
+            change = slope * (scaled * scale - begin)
             misfit = residual + jacobian @ change
             force = weights * gains(misfit, image)
             prior, prior_gradient = problem.prior.value_and_gradient(values, units)
             held = damping * curvature * change
-            gradient = jacobian.rmatvec(force) + held + prior_gradient
+            gradient = slope * (jacobian.rmatvec(force) + held) + unknown.slope(values) * prior_gradient
             return 0.5 * float(misfit @ force + held @ change) + prior, gradient * scale
 
         options = {"maxiter": self.inner_iterations, "maxcor": _CORRECTIONS}
         bounds = [(0.0, None)] * len(start)
-        found = minimize(model, start / scale, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-        extinction = np.maximum(found.x * scale, 0.0)
-        predicted = jacobian @ (extinction - start)
+        found = minimize(model, begin / scale, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+        reached = np.maximum(found.x * scale, 0.0)
+        extinction = unknown.extinction(reached)
+        predicted = jacobian @ (slope * (reached - begin))
         lag = state.lag + noise_of((_TANGENT_ERROR * predicted) ** 2, weights)
         return replace(state, extinction=extinction, image=image + predicted, lag=lag)
 
