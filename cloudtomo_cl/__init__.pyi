@@ -3,7 +3,19 @@ from .clouds.generate import cumulus
 from .clouds.mie import droplet_table
 from .clouds.readers import ReadingOptions, read_cloud
 from .clouds.volume import CloudVolume
-from .errors import CloudtomoError
+from .commands.notebook import ProgressDisplay
+from .errors import (
+    AuditError,
+    BuildError,
+    CloudtomoError,
+    DataError,
+    DeviceError,
+    Interrupted,
+    InvalidSettingError,
+    MissingPackageError,
+    SettingsError,
+    TransportError,
+)
 from .files.extinction import extinction_dataset, read_extinction, write_extinction
 from .files.measurements import (
     measurements_dataset,
@@ -13,18 +25,21 @@ from .files.measurements import (
     write_rays,
 )
 from .files.phase import read_droplet_table, read_phase_function, write_phase_function
+from .files.vti import write_vti
 from .inversion.carving import carve
+from .inversion.checkpoint import Checkpoint, read_checkpoint
 from .inversion.linear_model import LinearModel
 from .inversion.priors import PatchPrior, Prior, Regulariser
 from .inversion.problem import Problem
 from .inversion.reconstruct import reconstruct
-from .inversion.records import IterationRecord, Reconstruction
+from .inversion.records import History, IterationRecord, Reconstruction
 from .inversion.solvers.descent import SGD, Adam
 from .inversion.solvers.gauss_newton import GaussNewton
 from .inversion.solvers.protocol import Progress, Solver
 from .inversion.stages import Stage, automatic_stages
 from .inversion.voxels import Voxels
 from .opencl.device import choose_device, list_devices
+from .report.volume import plot_volume
 from .scene.droplets import DropletTable, extinction_from_water
 from .scene.formations import MISR_ANGLES, RingOfViews, StringOfScans, StringOfViews, fisheye_rays
 from .scene.grid import Grid
@@ -32,6 +47,7 @@ from .scene.measurements import Measurements
 from .scene.metrics import delta, epsilon
 from .scene.noise import Noise
 from .scene.phase import DoubleHenyeyGreenstein, HenyeyGreenstein, TabulatedPhaseFunction
+from .scene.poses import camera_from_pose
 from .scene.scene import Air, Boundary, Cloud, Scene, Sun, Surface
 from .scene.sensors import (
     OrthographicView,
@@ -40,6 +56,8 @@ from .scene.sensors import (
     RadiometerView,
     RayView,
 )
+from .transport.adaptive import render_to_error
+from .transport.audit import Audit
 from .transport.flux import Fluxes, FluxOperator
 from .transport.jacobian import Jacobian
 from .transport.radiance import RadianceOperator, Rendering
@@ -47,10 +65,16 @@ from .transport.radiance import RadianceOperator, Rendering
 __all__ = [
     "Adam",
     "Air",
+    "Audit",
+    "AuditError",
     "Boundary",
+    "BuildError",
+    "Checkpoint",
     "Cloud",
     "CloudVolume",
     "CloudtomoError",
+    "DataError",
+    "DeviceError",
     "DoubleHenyeyGreenstein",
     "DropletTable",
     "FluxOperator",
@@ -58,11 +82,15 @@ __all__ = [
     "GaussNewton",
     "Grid",
     "HenyeyGreenstein",
+    "History",
+    "Interrupted",
+    "InvalidSettingError",
     "IterationRecord",
     "Jacobian",
     "LinearModel",
     "MISR_ANGLES",
     "Measurements",
+    "MissingPackageError",
     "Noise",
     "OrthographicView",
     "PatchPrior",
@@ -70,6 +98,7 @@ __all__ = [
     "Prior",
     "Problem",
     "Progress",
+    "ProgressDisplay",
     "PushBroomView",
     "RadianceOperator",
     "RadiometerView",
@@ -81,6 +110,7 @@ __all__ = [
     "RingOfViews",
     "SGD",
     "Scene",
+    "SettingsError",
     "Solver",
     "Stage",
     "StringOfScans",
@@ -88,8 +118,10 @@ __all__ = [
     "Sun",
     "Surface",
     "TabulatedPhaseFunction",
+    "TransportError",
     "Voxels",
     "automatic_stages",
+    "camera_from_pose",
     "carve",
     "choose_device",
     "cumulus",
@@ -101,6 +133,8 @@ __all__ = [
     "fisheye_rays",
     "list_devices",
     "measurements_dataset",
+    "plot_volume",
+    "read_checkpoint",
     "read_cloud",
     "read_droplet_table",
     "read_extinction",
@@ -108,8 +142,10 @@ __all__ = [
     "read_phase_function",
     "read_rays",
     "reconstruct",
+    "render_to_error",
     "write_extinction",
     "write_measurements",
     "write_phase_function",
     "write_rays",
+    "write_vti",
 ]

@@ -1,7 +1,8 @@
-"""The program `cloudtomo`, also as `python -m cloudtomo_cl`."""
+"""The program `cloudtomo`, also as `python -m cloudtomo_cl`.
 
-import atexit
-import os
+Nothing but `signal` is imported before Ctrl-C is taken from Python, which would answer it with a traceback.
+"""
+
 import signal
 
 
@@ -10,6 +11,9 @@ def main() -> None:
     # Until it listens, Ctrl-C ends it as any program, without a traceback from among the imports.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    import atexit
+    import os
+
     from cloudtomo_cl.commands import cli, streams
 
     streams.open_missing_descriptors()

@@ -1,5 +1,9 @@
 """Named errors: each says what is wrong, where, and what to do."""
 
+from __future__ import annotations
+
+from typing import Any
+
 
 class CloudtomoError(Exception):
     """Base of this package's errors; the command line shows its text and exits with 2."""
@@ -15,6 +19,19 @@ class BuildError(DeviceError):
 
 class SettingsError(CloudtomoError):
     """A key of the settings is missing, misspelt or out of range."""
+
+
+class InvalidSettingError(SettingsError, ValueError):
+    """An argument of a settings class is missing, misspelt or out of range; the text has a line for each.
+
+    Attributes
+    ----------
+    details : what pydantic says of each, see its `ValidationError.errors`
+    """
+
+    def __init__(self, text: str, details: list[Any] | None = None) -> None:
+        super().__init__(text)
+        self.details = details or []
 
 
 class DataError(CloudtomoError):

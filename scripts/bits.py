@@ -200,7 +200,7 @@ def scene_c_cases() -> Iterator[Case]:
     import xarray
 
     with xarray.open_dataset(path) as file:
-        extinction = file["extinction"].values.astype(np.float32)
+        extinction = file["extinction"].transpose("x", "y", "z").values.astype(np.float32)
     grid = ct.Grid(shape=extinction.shape, spacing=(0.02, 0.02, 0.04))
     scene = ct.Scene(grid=grid, sun=ct.Sun(zenith=0.0), surface=ct.Surface(albedo=0.01))
     views = tuple(

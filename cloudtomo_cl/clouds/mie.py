@@ -45,7 +45,7 @@ def _miepython() -> ModuleType:
         import miepython
     except ImportError as error:
         raise MissingPackageError(
-            f"Mie tables need the package miepython ({error}): pip install 'cloudtomo-cl[mie]'"
+            f"Mie tables need the package miepython ({error}): pip install 'miepython >= 3.0.2'"
         ) from None
     finally:
         if before is None:

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import ValidationError
 
 from cloudtomo_cl.clouds.volume import CloudVolume, uniform_layers, weighted_mean
-from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.errors import DataError, InvalidSettingError
 from cloudtomo_cl.files.extinction import (
     LARGEST,
     PLAUSIBLE_EXTINCTION,
@@ -205,8 +204,8 @@ def _on_uniform_voxels(
     extinction = fields[0]
     try:
         grid = Grid(extinction.shape, spacing, origin)
-    except ValidationError as error:
-        raise DataError(f"{path}: impossible grid: {error.errors()[0]['msg']}") from None
+    except InvalidSettingError as error:
+        raise DataError(f"{path}: impossible grid: {error.details[0]['msg']}") from None
     sizes = None if radius is None else weighted_mean(fields[1], extinction).astype(np.float32)
     return grid, extinction.astype(np.float32), sizes
 

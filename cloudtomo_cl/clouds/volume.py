@@ -11,6 +11,7 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.extinction import check_extinction, check_radius
 from cloudtomo_cl.files.missing import require_present
 from cloudtomo_cl.scene.arrays import filled
+from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.grid import Grid, resample
 
 # Columns thinner than this in the vertical are counted as clear.
@@ -55,6 +56,9 @@ class CloudVolume:
         radius = "" if self.effective_radius is None else ", effective radius known"
         depth = f"vertical optical depth up to {self.optical_depth.max():.3g}"
         return f"CloudVolume({self.grid.text}, extinction up to {self.extinction.max():.4g} km^-1, {depth}{radius})"
+
+    def _repr_html_(self) -> str:
+        return card("CloudVolume", self.summary(), [("optical depth from above", self.optical_depth.T[::-1])])
 
     @property
     def optical_depth(self) -> np.ndarray:

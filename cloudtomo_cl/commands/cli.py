@@ -33,6 +33,8 @@ DESCRIPTION = """\
 Lengths are in km, extinction in km^-1, angles in degrees, radiance in W m^-2 sr^-1.
 x runs east, y north, z up; the ground is z = 0."""
 
+_SHELLS = ("bash", "zsh", "tcsh")
+
 EPILOG = """\
 a whole example:
   cloudtomo cloud --generate cumulus --output cloud.nc
@@ -50,11 +52,28 @@ def parser() -> argparse.ArgumentParser:
     form = argparse.RawDescriptionHelpFormatter
     top = argparse.ArgumentParser(prog="cloudtomo", description=DESCRIPTION, epilog=EPILOG, formatter_class=form)
     top.add_argument("--version", action=_Version)
+    top.add_argument(
+        "--print-completion", choices=_SHELLS, metavar="SHELL", action=_Completion,
+        help=f"print a script that completes commands and options in {', '.join(_SHELLS)}, and exit",
+    )  # fmt: skip
     commands = top.add_subparsers(title="commands", metavar="COMMAND", dest="command", required=True)
     for name, module in COMMANDS.items():
         texts = {"help": module.HELP, "description": module.DESCRIPTION, "epilog": module.EXAMPLES}
         module.add_arguments(commands.add_parser(name, formatter_class=form, **texts))
     return top
+
+
+class _Completion(argparse.Action):
+    """Prints what a shell needs to complete words; by shtab, which is imported only then."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, **options: Any) -> None:
+        super().__init__(option_strings, argparse.SUPPRESS, default=argparse.SUPPRESS, **options)
+
+    def __call__(self, form: argparse.ArgumentParser, _: Any, shell: Any, __: str | None = None) -> None:
+        import shtab
+
+        print(shtab.complete(parser(), shell=shell))
+        form.exit()
 
 
 class _Version(argparse.Action):

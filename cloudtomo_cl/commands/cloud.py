@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cloudtomo_cl.commands import options, stopping
-from cloudtomo_cl.errors import DataError, SettingsError, printable
+from cloudtomo_cl.errors import DataError, InvalidSettingError, SettingsError, printable
 
 if TYPE_CHECKING:
     from cloudtomo_cl.clouds.volume import CloudVolume
@@ -24,13 +24,14 @@ FILE may be
   text      pyshdom's, AT3D's and SHDOM's (liquid water content and effective radius), I3RC's tau with dz beside it
   .npy .mat a three-dimensional array, with --spacing and --units
 Water becomes extinction by 3 LWC / (2 rho r_e), or by a table of `cloudtomo mie`. What is written is netCDF with
-extinction(x, y, z) in km^-1 on uniform voxels, and effective_radius in um where it is known."""
+extinction(z, y, x) in km^-1 on uniform voxels, and effective_radius in um where it is known."""
 
 EXAMPLES = """\
 examples:
   cloudtomo cloud rico32x37x26.txt --output cloud.nc --png cloud.png
   cloudtomo cloud les.nc --variable QN --time -1 --droplet-number 70 --crop x=1.2:2.4 y=0:1.2 --output cloud.nc
   cloudtomo cloud extinction.npy --spacing 0.02 0.02 0.04 --units m-1 --order zyx --output cloud.nc
+  cloudtomo cloud cloud.nc --vti cloud.vti
   cloudtomo cloud cloud.nc --pad x=2 y=2 z=0:4 --coarsen 2 2 1 --output coarse.nc
   cloudtomo cloud --generate cumulus --shape 32 32 32 --spacing 0.025 0.025 0.025 --seed 1 --output cloud.nc"""
 
@@ -41,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="the cloud to read")
     parser.add_argument("--output", type=Path, metavar="FILE", help="where the cloud goes, netCDF")
     parser.add_argument("--png", type=Path, metavar="FILE", help="a picture of it (.png, .pdf, .svg)")
+    options.add_vti(parser)
 
     made = parser.add_argument_group("to generate one")
     made.add_argument("--generate", metavar="KIND", help="cumulus, field, tower or stratocumulus")
@@ -74,6 +76,7 @@ def run(
     file: Path | None,
     output: Path | None,
     png: Path | None,
+    vti: Path | None,
     generate: str | None,
     shape: list[int] | None,
     seed: int,
@@ -87,13 +90,17 @@ def run(
     **reading: Any,
 ) -> None:
     """Reads or generates, changes, writes and summarises a cloud; `reading` are the fields of `ReadingOptions`."""
+    from cloudtomo_cl.files.netcdf import require_file
+
     if (file is None) == (generate is None):
         raise SettingsError("give either FILE, or --generate cumulus (or field, tower, stratocumulus)")
     if generate is None and shape is not None:
         raise SettingsError("--shape belongs to --generate; to change a file's voxels use --crop, --pad or --coarsen")
-    if generate is not None and output is None:
+    if generate is not None and output is None and vti is None:
         raise SettingsError("--generate needs --output too")
-    options.check_outputs(overwrite, output=output, png=png)
+    if file is not None:
+        require_file(file)
+    options.check_outputs(overwrite, output=output, png=png, vti=vti)
     steps = {"crop": crop, "pad": pad, "rotate": rotate, "coarsen": coarsen, "tile": tile}
     bounds = None if crop is None else _pairs("crop", crop, float, (None, None))
     clear = None if pad is None else _pairs("pad", pad, int, (0, 0))
@@ -115,10 +122,13 @@ def run(
     if png is not None:
         stopping.check()
         _plot(png, volume)
+    if vti is not None:
+        stopping.check()
+        _write_vti(vti, volume)
     if not quiet:
         for name, value in volume.summary().items():
             print(printable(f"{name:<24}{value}"))
-        for path in (output, png):
+        for path in (output, png, vti):
             if path is not None:
                 print(f"{path} is written")
 
@@ -161,14 +171,12 @@ def _generated(kind: str, shape: list[int] | None, spacing: list[float] | None, 
 
 
 def _grid(shape: list[int], spacing: list[float] | None) -> Grid:
-    from pydantic import ValidationError
-
     from cloudtomo_cl.scene.grid import Grid
 
     try:
         return Grid(shape=tuple(shape), spacing=tuple(spacing or (1.0, 1.0, 1.0)))  # type: ignore[arg-type]
-    except ValidationError as error:
-        first = error.errors()[0]
+    except InvalidSettingError as error:
+        first = error.details[0]
         message = first["msg"].replace("Input should be", "must be")
         raise SettingsError(f"--{first['loc'][0]}: {message}, is {first['input']}") from None
 
@@ -220,6 +228,15 @@ def _write(output: Path, volume: CloudVolume, made: dict[str, Any]) -> None:
 
     attributes = {"source": source(), "settings": made, "versions": versions()}
     write_extinction(output, volume.grid, volume.extinction, attributes, volume.effective_radius)
+
+
+def _write_vti(vti: Path, volume: CloudVolume) -> None:
+    from cloudtomo_cl.files.vti import write_vti
+
+    quantities = {"extinction": (volume.extinction, "km-1")}
+    if volume.effective_radius is not None:
+        quantities["effective_radius"] = (volume.effective_radius, "um")
+    write_vti(vti, volume.grid, quantities)
 
 
 def _plot(png: Path, volume: CloudVolume) -> None:

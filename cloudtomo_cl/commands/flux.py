@@ -21,8 +21,8 @@ example:
   cloudtomo flux scene.toml --photons 1e7 --seed 1 --output fluxes.nc
   cloudtomo flux fluxes.nc --output again.nc      # the same once more, from that file alone
 
-scene.toml is that of `cloudtomo render`; views may be absent. Sides must be periodic if there is a
-surface that reflects, or air outside of the cloud's grid."""
+scene.toml is that of `cloudtomo render`; views may be absent. Where there is a surface that
+reflects, or air outside of the cloud's grid, sides must be periodic, and are without a table [boundary]."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

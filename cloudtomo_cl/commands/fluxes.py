@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,10 @@ from cloudtomo_cl.commands.provenance import describe_device, source, versions
 from cloudtomo_cl.files.extinction import extinction_dataset, read_effective_radius, read_extinction
 from cloudtomo_cl.files.netcdf import ENDINGS, check_output, is_netcdf, save_dataset
 from cloudtomo_cl.opencl.device import choose_device
-from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.scene.scene import Boundary, Scene
 from cloudtomo_cl.settings.stored import kept_scene, stored_scene
 from cloudtomo_cl.settings.tables import read_flux_settings
-from cloudtomo_cl.transport.flux import Fluxes, FluxOperator
+from cloudtomo_cl.transport.flux import Fluxes, FluxOperator, can_be_open
 
 _DEFAULT_PHOTONS = 1_000_000
 
@@ -78,9 +79,9 @@ class Result:
 
 def prepare(request: Request) -> Job:
     """Reads and checks everything, and builds the kernels. Raises what can be refused."""
+    scene, extinction, radius, made = _to_compute(request.scene, request.overrides)
     if request.output is not None:
         check_output(request.output, request.overwrite, ENDINGS)
-    scene, extinction, radius, made = _to_compute(request.scene, request.overrides)
     stopping.check()
     return Job(
         request=request,
@@ -110,20 +111,44 @@ def deliver(job: Job, result: Result) -> None:
             job.operator.scene.grid, job.extinction, _attributes(job, result), job.effective_radius
         )
         save_dataset(output, kept.assign(_variables(fluxes)))
-    for name in ("reflected", "transmitted", "direct", "diffuse", "absorbed"):
-        mean = fluxes.domain_mean(name)
-        share = mean.value / fluxes.incident
-        line = f"{name:<12}{mean.value:10.5f} ± {mean.standard_error:.1g} W m^-2  {share:8.3%} of what comes in"
+    for line in _lines(job.operator.scene, fluxes):
         job.console.print(line, highlight=False, soft_wrap=True)
     where = "" if output is None else f": {output}"
     took = progress.duration(result.seconds)
     job.console.print(f"{fluxes.photons:.3g} photons in {took} on {job.operator.device.name}{where}", soft_wrap=True)
 
 
+def _lines(scene: Scene, fluxes: Fluxes) -> Iterator[str]:
+    """What is printed: the budget, whose lines add up, and of what arrives at the surface its parts."""
+    means = {name: fluxes.domain_mean(name) for name in ("reflected", "absorbed", "transmitted", "direct", "diffuse")}
+    kept = 1 - scene.surface.albedo
+    down = means["transmitted"]
+    numbers = {name: (mean.value, mean.standard_error) for name, mean in means.items()}
+    budget = {name: numbers[name] for name in ("reflected", "absorbed")}
+    budget["surface"] = (kept * down.value, kept * down.standard_error)
+    closed = scene.boundary.horizontal == "periodic"
+    if not closed:
+        # What enters by the sides leaves by them, too: the difference of the others.
+        yield "the sides are open: light enters and leaves by them, too, so these lines do not add up to 100 %"
+    for name, (value, error) in budget.items():
+        yield _line(name, value, error, fluxes.incident)
+    if closed:
+        total = sum(value for value, _ in budget.values())
+        yield f"{'sum':<12}{total:10.5f} of {fluxes.incident:.5f} W m^-2 that come in by the top"
+    again = ", what the surface and the cloud send to and fro counted every time" if kept < 1 else ""
+    yield f"down at the surface{again}:"
+    for name in ("transmitted", "direct", "diffuse"):
+        yield _line(name, *numbers[name], fluxes.incident)
+
+
+def _line(name: str, value: float, error: float, incident: float) -> str:
+    return f"{name:<12}{value:10.5f} ± {error:.1g} W m^-2  {value / incident:8.3%} of what comes in"
+
+
 def _attributes(job: Job, result: Result) -> dict[str, Any]:
     """Of the file, with the settings that repeat it."""
     return {
-        "title": "fluxes of a cloud scene",
+        "title": "fluxes of a cloud, and its extinction",
         "source": source(),
         "device": describe_device(job.operator.device),
         "versions": versions(),
@@ -148,7 +173,16 @@ def _to_compute(path: Path, overrides: Sequence[str]) -> tuple[Scene, np.ndarray
     settings = read_flux_settings(path, overrides)
     file = settings.cloud.file
     grid, extinction = read_extinction(file)
-    return settings.scene(grid), extinction, read_effective_radius(file), {"cloud_file": file.name}
+    scene = settings.scene(grid)
+    if "boundary" not in settings.model_fields_set and not can_be_open(scene):
+        # As a scene of `init render`: fluxes have no other choice, and nobody has made one.
+        print(
+            f'cloudtomo flux: {path} has no [boundary]: horizontal = "periodic" is taken, for open sides over a '
+            "surface that reflects, or beside air, would need endlessly many photons",
+            file=sys.stderr,
+        )
+        scene = replace(scene, boundary=Boundary("periodic"))
+    return scene, extinction, read_effective_radius(file), {"cloud_file": file.name}
 
 
 def _variables(fluxes: Fluxes) -> dict[str, Any]:
@@ -156,7 +190,7 @@ def _variables(fluxes: Fluxes) -> dict[str, Any]:
     variables = {}
     for name, text in _NAMES.items():
         estimate = getattr(fluxes, name)
-        variables[name] = (("x", "y"), estimate.value, {"long_name": text, "units": "W m-2"})
+        variables[name] = (("y", "x"), estimate.value.T, {"long_name": text, "units": "W m-2"})
         error = {"long_name": f"standard error of {name}", "units": "W m-2"}
-        variables[f"{name}_standard_error"] = (("x", "y"), estimate.standard_error, error)
+        variables[f"{name}_standard_error"] = (("y", "x"), estimate.standard_error.T, error)
     return variables

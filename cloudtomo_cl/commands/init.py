@@ -14,20 +14,23 @@ from cloudtomo_cl.errors import SettingsError
 if TYPE_CHECKING:
     from cloudtomo_cl.clouds.volume import CloudVolume
 
-HELP = "write a settings file to start from"
+HELP = "write settings, or a whole example, to start from"
 
 DESCRIPTION = """\
-Write a commented settings file to start from: of a scene to render, or of a reconstruction.
+Write a commented settings file to start from: of a scene to render, or of a reconstruction; or a folder with a whole
+example: a small cloud, its images, and settings that recover it within a minute.
 
 With --cloud the views are chosen so that the whole cloud is in every image: one from above and a ring of eight.
 Everything optional is there as a comment, with its default."""
 
 EXAMPLES = """\
 examples:
+  cloudtomo init example
   cloudtomo init render --cloud cloud.nc
-  cloudtomo init reconstruct --measurements images.nc --truth cloud.nc"""
+  cloudtomo init reconstruct --measurements images.nc --truth cloud.nc
+  cloudtomo init render --schema scene.schema.json"""
 
-_FILES = {"render": "scene.toml", "reconstruct": "run.toml"}
+_FILES = {"render": "scene.toml", "reconstruct": "run.toml", "example": "example"}
 # Views of the example: how far off the vertical the ring is seen, and how many radii of the cloud away.
 _RING_ZENITH, _DISTANCE = 40.0, 4.0
 _FEWEST_PIXELS, _MOST_PIXELS = 32, 128
@@ -100,7 +103,13 @@ file = {measurements}             # beside this file; by `cloudtomo render`; for
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of the command; they are the parameters of `run`."""
     parser.add_argument("kind", choices=list(_FILES), nargs="?", default="render", help="(default: render)")
-    parser.add_argument("--output", type=Path, metavar="FILE", help="by default scene.toml or run.toml")
+    parser.add_argument(
+        "--schema", type=Path, metavar="FILE",
+        help="write the JSON schema of such settings in place of settings: for editors that complete and check TOML",
+    )  # fmt: skip
+    parser.add_argument(
+        "--output", type=Path, metavar="FILE", help="by default scene.toml, run.toml, or the folder example"
+    )
     parser.add_argument("--cloud", type=Path, metavar="FILE", help="of a scene: the cloud that the views shall see")
     parser.add_argument("--measurements", type=Path, metavar="FILE", help="of a run: the images (default images.nc)")
     parser.add_argument("--truth", type=Path, metavar="FILE", help="of a run: the known cloud to compare with")
@@ -110,6 +119,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(
     kind: str,
+    schema: Path | None,
     output: Path | None,
     cloud: Path | None,
     measurements: Path | None,
@@ -121,6 +131,10 @@ def run(
     from cloudtomo_cl.files.netcdf import check_output
     from cloudtomo_cl.files.whole import written_whole
 
+    if schema is not None:
+        return _write_schema(kind, schema, overwrite, quiet)
+    if kind == "example":
+        return _example(output or Path(_FILES[kind]), (cloud, measurements, truth), overwrite, quiet)
     if kind == "render" and (measurements is not None or truth is not None):
         raise SettingsError("--measurements and --truth belong to `cloudtomo init reconstruct`")
     if kind == "reconstruct" and cloud is not None:
@@ -139,18 +153,72 @@ def run(
         print(f"{output} is written: look through it, then run\n  cloudtomo {kind} {output} {used}")
 
 
+def _example(folder: Path, given: tuple[Path | None, ...], overwrite: bool, quiet: bool) -> None:
+    """A folder with all that a first recovery needs."""
+    from cloudtomo_cl.commands.example import write_example
+
+    if any(path is not None for path in given):
+        raise SettingsError("an example has a cloud of its own: --cloud belongs to `init render`, the others to a run")
+    write_example(folder, overwrite, quiet)
+    if not quiet:
+        print(f"{folder} is ready: recover the cloud from its images by\n"
+              f"  cloudtomo reconstruct {folder / 'run.toml'} --output {folder / 'run'}")  # fmt: skip
+
+
+def _write_schema(kind: str, path: Path, overwrite: bool, quiet: bool) -> None:
+    """The JSON schema of scene files or of run files."""
+    import json
+
+    from cloudtomo_cl.files.netcdf import check_output
+    from cloudtomo_cl.files.whole import written_whole
+    from cloudtomo_cl.settings.tables import ReconstructSettings, RenderSettings
+
+    if kind == "example":
+        raise SettingsError("--schema is of `init render` or `init reconstruct`: an example has both")
+    check_output(path, overwrite, (".json",), "--schema")
+    model: type[RenderSettings] | type[ReconstructSettings] = (
+        RenderSettings if kind == "render" else ReconstructSettings
+    )
+    with written_whole(path) as partial:
+        partial.write_text(json.dumps(model.model_json_schema(), indent=1) + "\n", encoding="utf-8")
+    if not quiet:
+        print(f"{path} is written: editors with a TOML server take it from a first line\n#:schema ./{path.name}")
+
+
 def scene_file(cloud: Path | None, folder: Path) -> str:
     """The text of a scene file in a folder, with views that see the whole cloud."""
     from cloudtomo_cl.scene.scene import Air, Boundary
 
+    volume = None
     if cloud is None:
         cloud, views = folder / "cloud.nc", _views((0.4, 0.4, 0.45), 0.5, 0.025)
     else:
         from cloudtomo_cl.clouds.readers import read_cloud
 
-        views = _views_of(read_cloud(cloud))
+        volume = read_cloud(cloud)
+        views = _views_of(volume)
     text = _SCENE.format(cloud=_relative(cloud, folder), **views)
+    if volume is not None and volume.effective_radius is not None:
+        text = text.replace("\n[sun]", f"{_radii_text(volume)}\n[sun]", 1)
     return "\n".join([_aligned(text), *_commented("boundary", Boundary), *_commented("air", Air), ""])
+
+
+def _radii_text(volume: CloudVolume) -> str:
+    """A comment: the file knows its droplets' radii, and a phase function without radii takes no notice of them."""
+    import numpy as np
+
+    assert volume.effective_radius is not None
+    known = volume.effective_radius[(volume.extinction > 0) & np.isfinite(volume.effective_radius)]
+    if not known.size:
+        return ""
+    first, last = np.floor(known.min()), np.ceil(known.max())
+    radii = f"{first:g} {last:g} --count {max(2, round(last - first) + 1)}" if last > first else f"{first:g}"
+    return (
+        f"# The file has its droplets' effective radii, {known.min():.3g} to {known.max():.3g} um, of which this\n"
+        "# phase function takes no notice. A table by Mie's theory does, voxel by voxel:\n"
+        f"#   cloudtomo mie --wavelength 672 --effective-radius {radii} --output mie.nc\n"
+        '# phase_function = { type = "table", file = "mie.nc" }\n'
+    )
 
 
 def run_file(measurements: Path, truth: Path | None, folder: Path) -> str:

@@ -21,7 +21,7 @@ Compute phase functions and other optics of cloud droplets by Mie's theory.
 The droplets are spheres of water (or of --refractive-index) whose sizes follow a gamma distribution with the given
 effective radius and variance. The output is netCDF with phase_function(effective_radius, angle) in sr^-1,
 single_scattering_albedo, extinction_efficiency and mass_extinction (m^2 g^-1). It needs the package miepython:
-pip install 'cloudtomo-cl[mie]'."""
+pip install 'miepython >= 3.0.2'."""
 
 EXAMPLES = """\
 examples:

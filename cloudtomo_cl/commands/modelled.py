@@ -44,7 +44,12 @@ def write_modelled(
     write_measurements(
         folder.modelled_file,
         modelled,
-        {"source": source(), "device": describe_device(device), "versions": versions()},
+        {
+            "title": "images of a recovered cloud",
+            "source": source(),
+            "device": describe_device(device),
+            "versions": versions(),
+        },
         {
             "scene": stored_scene(scene),
             "cloud_file": folder.reconstruction_file.name,

@@ -19,6 +19,10 @@ def add_quiet(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="print errors only")
 
 
+def add_vti(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--vti", type=Path, metavar="FILE", help="a file for ParaView and its like (.vti)")
+
+
 def add_overwrite(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--overwrite", action="store_true", help="replace an output that exists")
 
@@ -34,15 +38,18 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def check_outputs(overwrite: bool, output: Path | None, png: Path | None = None) -> None:
-    """Checks where a netCDF file and a picture shall go, before the work. DataError as `check_output`."""
+def check_outputs(overwrite: bool, output: Path | None, png: Path | None = None, vti: Path | None = None) -> None:
+    """Checks where a netCDF file, a picture and a .vti file shall go, before the work. DataError as `check_output`."""
     from cloudtomo_cl.files.netcdf import ENDINGS, check_output
+    from cloudtomo_cl.files.vti import ENDINGS as VTI
     from cloudtomo_cl.report.plots import PICTURES
 
     if output is not None:
         check_output(output, overwrite, ENDINGS)
     if png is not None:
         check_output(png, overwrite, PICTURES, "--png")
+    if vti is not None:
+        check_output(vti, overwrite, VTI, "--vti")
 
 
 def seed(text: str) -> int:

@@ -162,9 +162,10 @@ class ReconstructionProgress:
             return
         self._printed = record
         self._shown = time.monotonic()
-        self._console.print(f"{self._text(record)}  {duration(record.seconds)}", highlight=False, soft_wrap=True)
+        self._console.print(f"{self.said(record)}  {duration(record.seconds)}", highlight=False, soft_wrap=True)
 
-    def _text(self, record: IterationRecord) -> str:
+    def said(self, record: IterationRecord) -> str:
+        """Stage, iteration, cost, and the error if it is known."""
         text = (
             f"stage {record.stage + 1}/{record.stages}  iteration {record.iteration + 1:>4}  "
             f"cost {with_error(record.cost, record.cost_standard_error)}"
@@ -188,7 +189,7 @@ class ReconstructionProgress:
         if self._last is None or self._doing is not None:
             return f"{self._doing or 'beginning'}  {elapsed}"
         speed = f"{self._last.paths / max(self._last.seconds, 1e-3):.2g} paths/s"
-        return f"{self._text(self._last)}  {speed}  {self._left(self._last)}  {elapsed}"
+        return f"{self.said(self._last)}  {speed}  {self._left(self._last)}  {elapsed}"
 
 
 class _Live(ProgressColumn):

@@ -60,8 +60,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(**given: Any) -> None:
     """Reconstructs after a run file into a run folder."""
     from cloudtomo_cl.commands import reconstruction
+    from cloudtomo_cl.files.netcdf import require_file
 
     request = reconstruction.Request(**given)
+    require_file(request.run)
     with request.folder.held():
         job = reconstruction.prepare(request)
         reconstruction.deliver(job, reconstruction.execute(job))

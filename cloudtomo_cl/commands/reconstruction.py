@@ -100,8 +100,9 @@ class Job:
 
     @property
     def stored_settings(self) -> dict[str, Any]:
-        """The settings as files keep them: without the paths of other files."""
-        return self.settings.model_dump(mode="json", exclude={"measurements", "truth"})
+        """The settings as files keep them: without the paths of other files, and with the seed that was taken."""
+        kept = self.settings.model_dump(mode="json", exclude={"measurements", "truth"})
+        return {**kept, "run": {**kept["run"], "seed": self.seed}}
 
     def say(self, text: str) -> None:
         self.console.print(text, highlight=False, soft_wrap=True)
@@ -130,6 +131,7 @@ def prepare(request: Request) -> Job:
     """Reads and checks everything. Raises what can be refused before the first path."""
     if request.resume and request.overwrite:
         raise SettingsError("--resume goes on with a run and --overwrite discards it: give one of them")
+    settings, measurements, stored = _read(request)
     folder = request.folder
     resumed = folder.read_checkpoint() if request.resume else None
     if request.resume:
@@ -137,7 +139,6 @@ def prepare(request: Request) -> Job:
         folder.check_own()
     else:
         folder.check_new()
-    settings, measurements, stored = _read(request)
     scene = settings.scene(stored.get("scene", {}))
     truth = None if settings.truth is None else read_truth(settings.truth.file, scene.grid)
     check_views(scene, measurements.views)
@@ -261,7 +262,6 @@ def _description(job: Job) -> dict[str, Any]:
         "files": {name: os.path.relpath(table.file, job.request.output) for name, table in tables if table is not None},
         "scene": stored_scene(job.scene),
         "digests": {} if job.truth is None else {"truth": digest(job.truth)},
-        "seed": job.seed,
         "device": describe_device(job.device),
         "versions": versions(),
     }
@@ -311,6 +311,7 @@ def _write_result(job: Job, outcome: Outcome) -> None:
     result = outcome.result
     last = result.history[-1]
     attributes = {
+        "title": "extinction of a cloud, recovered from its images",
         "source": source(),
         "seed": job.seed,
         "device": describe_device(job.device),

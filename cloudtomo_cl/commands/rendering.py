@@ -41,6 +41,7 @@ class Request:
     seed: int | None
     output: Path
     png: Path | None
+    blind: bool
     overrides: Sequence[str]
     device: str | None
     quiet: bool
@@ -93,9 +94,9 @@ class Result:
 
 def prepare(request: Request) -> Job:
     """Reads and checks everything, and builds the kernels. Raises what can be refused."""
+    scene, seen, extinction, radius, made = _to_render(request.scene, request.overrides)
     check_output(request.output, request.overwrite, ENDINGS)
     _check_previews(request.png, request.overwrite)
-    scene, seen, extinction, radius, made = _to_render(request.scene, request.overrides)
     check_views(scene, seen)
     stopping.check()
     samples, target_error = request.samples, request.target_error
@@ -149,6 +150,10 @@ def deliver(job: Job, result: Result) -> None:
     operator, request = job.operator, job.request
     paths = result.rendering.audit.launched
     how = job.how if job.noise is None else {**job.how, "noise": stored_noise(job.noise)}
+    settings = {"scene": stored_scene(operator.scene), "cloud_file": job.cloud_file, **how, "seed": job.seed}
+    if request.blind:
+        # The random numbers, too: with them a guessed cloud would be known by its noise.
+        settings = {"scene": settings["scene"]}
     write_measurements(
         request.output,
         result.measurements,
@@ -159,8 +164,8 @@ def deliver(job: Job, result: Result) -> None:
             "paths": float(paths),
             "seconds": result.seconds,
         },
-        {"scene": stored_scene(operator.scene), "cloud_file": job.cloud_file, **how, "seed": job.seed},
-        (operator.scene.grid, job.extinction, job.effective_radius),
+        settings,
+        None if request.blind else (operator.scene.grid, job.extinction, job.effective_radius),
     )
     relative = relative_error(operator, result.rendering)
     for line in _lines(job, result, relative):

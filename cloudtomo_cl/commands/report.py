@@ -15,24 +15,33 @@ modelled images, and what else is known. A reconstruction does it by itself. Wha
 there (of an earlier iteration, another truth) is made again, or left out with a sentence."""
 
 EXAMPLES = """\
-example:
-  cloudtomo report run"""
+examples:
+  cloudtomo report run
+  cloudtomo report run --vti run.vti"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of the command."""
     parser.add_argument("folder", type=Path, metavar="DIR", help="a run folder")
+    options.add_vti(parser)
     options.add_device(parser)
+    options.add_overwrite(parser)
     options.add_quiet(parser)
 
 
-def run(folder: Path, device: str | None, quiet: bool) -> None:
-    """Makes figures/*.png, figures/*.pdf and report.html, and modelled.nc if it is not of the result."""
-    from cloudtomo_cl.commands.reporting import make_report, renew_modelled
+def run(folder: Path, vti: Path | None, device: str | None, overwrite: bool, quiet: bool) -> None:
+    """Makes figures/*.png, figures/*.pdf and report.html, and modelled.nc if it is not of the result.
+
+    overwrite : whether a file `vti` is replaced; the run's own files are always made again
+    """
+    from cloudtomo_cl.commands.reporting import export_vti, make_report, renew_modelled
     from cloudtomo_cl.commands.run_folder import RunFolder
 
+    options.check_outputs(overwrite, output=None, vti=vti)
     of_run = RunFolder(folder)
     of_run.check_finished()
     with of_run.held():
         renew_modelled(of_run, device, quiet)
         make_report(of_run, quiet)
+        if vti is not None:
+            export_vti(of_run, vti, quiet)

@@ -8,17 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from cloudtomo_cl.commands import stopping
 from cloudtomo_cl.commands.modelled import write_modelled
-from cloudtomo_cl.commands.progress import duration, with_error
+from cloudtomo_cl.commands.progress import duration
 from cloudtomo_cl.commands.provenance import digest, source
 from cloudtomo_cl.commands.run_folder import RunFolder
 from cloudtomo_cl.errors import DataError, DeviceError, SettingsError
 from cloudtomo_cl.files.extinction import read_extinction
 from cloudtomo_cl.files.measurements import read_measurements
-from cloudtomo_cl.files.netcdf import load_dataset
+from cloudtomo_cl.files.netcdf import AXES, load_dataset
 from cloudtomo_cl.files.truth import read_truth
+from cloudtomo_cl.files.vti import write_vti
 from cloudtomo_cl.files.whole import written_whole
 from cloudtomo_cl.opencl.device import choose_device
 from cloudtomo_cl.report import plots
@@ -26,6 +28,7 @@ from cloudtomo_cl.report.page import report_page
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.metrics import delta, epsilon
+from cloudtomo_cl.scene.scene import Sun
 from cloudtomo_cl.settings.stored import kept_scene
 
 # Extinction of voxels that hold cloud, km^-1.
@@ -53,6 +56,15 @@ class _Shown:
     modelled: Measurements | None = None
     notes: list[str] = field(default_factory=list)
 
+    @property
+    def sun(self) -> Sun | None:
+        """Of the scene that the settings keep, if they keep one."""
+        scene = self.settings.get("scene")
+        try:
+            return TypeAdapter(Sun).validate_python(scene["sun"]) if isinstance(scene, dict) else None
+        except (KeyError, ValidationError):
+            return None
+
 
 def make_report(run: RunFolder, quiet: bool) -> None:
     """Makes figures/*.png, figures/*.pdf and report.html.
@@ -69,7 +81,7 @@ def make_report(run: RunFolder, quiet: bool) -> None:
         print("drawing figures and report ...")
     stopping.check()
     figures = plots.run_figures(
-        shown.grid, shown.extinction, shown.history, shown.truth, shown.measurements, shown.modelled
+        shown.grid, shown.extinction, shown.history, shown.truth, shown.measurements, shown.modelled, shown.sun
     )
     run.claim(run.report_file, *(run.figures / f"{name}.{kind}" for name in figures for kind in ("png", "pdf")))
     paths: list[Path] = []
@@ -88,12 +100,33 @@ def make_report(run: RunFolder, quiet: bool) -> None:
         shown.measurements,
         shown.modelled,
         shown.notes,
+        shown.sun,
     )
     with written_whole(run.report_file) as partial:
         partial.write_text(page, encoding="utf-8")
     if not quiet:
         print(f"{run.figures}: {', '.join(figures)}, each as .png and .pdf")
         print(f"{run.report_file}: open it in a browser")
+
+
+def export_vti(run: RunFolder, path: Path, quiet: bool) -> None:
+    """Writes the recovered cloud for viewers: extinction, its standard error, the mask, and the truth if it is known.
+
+    Raises
+    ------
+    DataError : a file of the folder is damaged, or the new one cannot be written
+    """
+    shown = _read(run)
+    quantities = {"extinction": (shown.extinction, "km-1")}
+    if shown.truth is not None:
+        quantities["true_extinction"] = (shown.truth, "km-1")
+    if "extinction_standard_error" in shown.result:
+        error = shown.result["extinction_standard_error"].transpose(*AXES).values
+        quantities["extinction_standard_error"] = (error, "km-1")
+    quantities["mask"] = (run.read_reconstruction()[2], "1")
+    write_vti(path, shown.grid, quantities)
+    if not quiet:
+        print(f"{path}: open it in ParaView or another viewer of VTK's files")
 
 
 def _read(run: RunFolder) -> _Shown:
@@ -180,13 +213,12 @@ def _numbers(shown: _Shown) -> dict[str, str]:
     grid, extinction, truth, history = shown.grid, shown.extinction, shown.truth, shown.history
     numbers = {}
     if truth is not None:
-        numbers["error eps"] = f"{epsilon(extinction, truth):.3f}"
-        numbers["bias of the optical mass delta"] = f"{delta(extinction, truth):+.1%}"
+        numbers["error, eps"] = f"{epsilon(extinction, truth):.3f}"
+        numbers["bias of the mass, delta"] = f"{delta(extinction, truth):+.1%}"
     depth = extinction.sum(axis=2, dtype=float) * grid.spacing[2]
     numbers["optical mass"] = f"{extinction.sum(dtype=float) * grid.voxel_volume:.4g} km²"
     numbers["largest optical depth"] = f"{depth.max():.3g}"
     numbers["voxels"] = " × ".join(map(str, grid.shape))
-    numbers["last cost"] = with_error(history["cost"][-1], history["cost_standard_error"][-1])
     numbers["iterations"] = str(len(history["cost"]))
     numbers["paths"] = f"{history['paths'][-1]:.3g}"
     numbers["time"] = duration(float(history["seconds"][-1]))
@@ -194,7 +226,7 @@ def _numbers(shown: _Shown) -> dict[str, str]:
     if isinstance(device, dict) and "name" in device:
         numbers["device"] = str(device["name"])
     if "extinction_standard_error" in shown.result and (extinction > _CLOUD).any():
-        error = np.median(shown.result["extinction_standard_error"].values[extinction > _CLOUD])
+        error = np.median(shown.result["extinction_standard_error"].transpose(*AXES).values[extinction > _CLOUD])
         numbers["typical standard error in cloud"] = f"{error:.3g} km⁻¹"
     return numbers
 

@@ -4,7 +4,7 @@ files.json           names of the files here that runs have written: no others a
 settings.json        all settings, versions of the packages, device, seed
 history.csv          one line for each iteration, written as it goes
 checkpoint.npz       what a resumed run goes on from
-reconstruction.nc    extinction(x, y, z) in km^-1, its standard error and the mask, and what repeats the run:
+reconstruction.nc    extinction(z, y, x) in km^-1, its standard error and the mask, and what repeats the run:
                      images, views, settings
 modelled.nc          images of the recovered cloud
 report.html
@@ -27,9 +27,9 @@ import numpy as np
 
 from cloudtomo_cl.commands.folder_lock import held
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.files.extinction import read_extinction, write_extinction
+from cloudtomo_cl.files.extinction import WRITTEN_AXES, read_extinction, write_extinction
 from cloudtomo_cl.files.measurements import write_measurements
-from cloudtomo_cl.files.netcdf import netcdf_errors
+from cloudtomo_cl.files.netcdf import AXES, netcdf_errors
 from cloudtomo_cl.files.whole import reason, remove_abandoned, written_whole
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, read_checkpoint
 from cloudtomo_cl.report.plots import FIGURES
@@ -231,16 +231,16 @@ class RunFolder:
             else:
                 write_measurements(partial, measurements, attributes, settings, (grid, extinction, None))
             with netcdf_errors(), netCDF4.Dataset(partial, "a") as dataset:
-                variable = dataset.createVariable("mask", "i1", ("x", "y", "z"), zlib=True)
+                variable = dataset.createVariable("mask", "i1", WRITTEN_AXES, zlib=True)
                 variable.units = "1"
                 variable.long_name = "voxels that the recovery could fill: 1, others 0"
-                variable[:] = mask
+                variable[:] = mask.T
                 if standard_error is not None:
                     name = "extinction_standard_error"
-                    variable = dataset.createVariable(name, "f4", ("x", "y", "z"), zlib=True)
+                    variable = dataset.createVariable(name, "f4", WRITTEN_AXES, zlib=True)
                     variable.units = "km-1"
                     variable.long_name = "standard error of extinction, from noise and what smoothness leaves open"
-                    variable[:] = standard_error
+                    variable[:] = standard_error.T
                     dataset["extinction"].ancillary_variables = name
 
     def read_reconstruction(self) -> tuple[Grid, np.ndarray, np.ndarray]:
@@ -251,7 +251,8 @@ class RunFolder:
         grid, extinction = read_extinction(self.reconstruction_file)
         try:
             with netCDF4.Dataset(self.reconstruction_file) as dataset:
-                mask = np.asarray(dataset["mask"][:]).astype(bool)
+                stored = dataset["mask"]
+                mask = np.asarray(stored[:]).astype(bool).transpose([stored.dimensions.index(name) for name in AXES])
         except (OSError, RuntimeError, IndexError, ValueError, TypeError) as error:
             raise DataError(f"{self.reconstruction_file}: has no mask that can be read ({error})") from None
         if mask.shape != grid.shape:
@@ -281,6 +282,7 @@ class RunFolder:
 
 
 def _line(record: IterationRecord) -> list[Any]:
-    """A record as the history has it."""
-    values = (getattr(record, field.name) for field in fields(record))
-    return ["" if value is None else value for value in values]
+    """A record as the history has it: stages and iterations count from 1, as on the screen."""
+    values = {field.name: getattr(record, field.name) for field in fields(record)}
+    values.update({name: values[name] + 1 for name in ("stage", "iteration") if name in values})
+    return ["" if value is None else value for value in values.values()]

@@ -401,12 +401,14 @@ def components_in_order(path: Any, dataset: xr.Dataset) -> xr.Dataset:
     ------
     DataError : the names are others
     """
-    if "axis" not in dataset.sizes or "axis" not in dataset.variables:
+    labels = [name for name in ("component", "axis") if name in dataset.variables and dataset[name].dims == ("axis",)]
+    if not labels:
         return dataset
-    names = [value.decode() if isinstance(value, bytes) else str(value) for value in dataset["axis"].values.ravel()]
+    label = labels[0]
+    names = [value.decode() if isinstance(value, bytes) else str(value) for value in dataset[label].values.ravel()]
     names = [name.strip().lower() for name in names]
     if names in ([str(i) for i in range(3)], [f"{i}.0" for i in range(3)]):
         return dataset
     if sorted(names) != ["x", "y", "z"]:
-        raise DataError(f"{path}: the coordinate axis must name x, y and z, is {', '.join(names)}")
+        raise DataError(f"{path}: the coordinate {label} must name x, y and z, is {', '.join(names)}")
     return dataset.isel({"axis": [names.index(letter) for letter in "xyz"]})

@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import ValidationError
 
-from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.errors import DataError, InvalidSettingError
 from cloudtomo_cl.files.axes import TOLERANCE, Axis, read_axis
 from cloudtomo_cl.files.missing import require_present, undeclared_fill
 from cloudtomo_cl.files.netcdf import (
@@ -28,6 +27,8 @@ from cloudtomo_cl.scene.grid import Grid
 if TYPE_CHECKING:
     import xarray as xr
 
+# The order of what is written: that of the CF conventions, which viewers take for granted.
+WRITTEN_AXES = AXES[::-1]
 # What extinctions without units may be, largest of a cloud, km^-1: less is likely one in m^-1.
 PLAUSIBLE_EXTINCTION = (0.5, 2000.0)
 PLAUSIBLE_RADIUS = (0.5, 500.0)
@@ -118,8 +119,8 @@ def read_extinction(source: Source) -> tuple[Grid, np.ndarray]:
         require_plausible(path, "extinction", float(values.max()), "km-1", PLAUSIBLE_EXTINCTION)
     try:
         return Grid(shape=extinction.shape, spacing=spacing, origin=origin), extinction
-    except ValidationError as error:
-        raise DataError(f"{path}: impossible grid: {error.errors()[0]['msg']} (z must be at least 0)") from None
+    except InvalidSettingError as error:
+        raise DataError(f"{path}: impossible grid: {error.details[0]['msg']} (z must be at least 0)") from None
 
 
 def check_extinction(path: Any, name: str, values: np.ndarray) -> None:
@@ -223,7 +224,7 @@ def extinction_dataset(
     effective_radius: np.ndarray | None = None,
     name: str = "the dataset",
 ) -> xr.Dataset:
-    """extinction(x, y, z) with its voxel centres and their bounds, after the CF conventions.
+    """extinction(z, y, x) with its voxel centres and their bounds, after the CF conventions.
 
     Parameters
     ----------
@@ -240,7 +241,7 @@ def extinction_dataset(
     import xarray as xr
 
     variables, coordinates = extinction_variables(name, grid, extinction, effective_radius)
-    return xr.Dataset(variables, coordinates, file_attributes(attributes))
+    return xr.Dataset(variables, coordinates, file_attributes("extinction of a cloud", attributes))
 
 
 def extinction_variables(
@@ -253,9 +254,10 @@ def extinction_variables(
     if not np.isfinite(extinction).all():
         raise DataError(f"{path}: extinction is not finite everywhere: it is not written")
     check_extinction(path, "extinction", extinction)
+    # Without the attribute axis for x and y: VTK's reader (ParaView) takes them for longitude and latitude then.
     standard = {
-        "x": {"standard_name": "projection_x_coordinate", "long_name": "voxel centre along x (east)", "axis": "X"},
-        "y": {"standard_name": "projection_y_coordinate", "long_name": "voxel centre along y (north)", "axis": "Y"},
+        "x": {"standard_name": "projection_x_coordinate", "long_name": "voxel centre along x (east)"},
+        "y": {"standard_name": "projection_y_coordinate", "long_name": "voxel centre along y (north)"},
         "z": {"standard_name": "height", "long_name": "voxel centre along z (up)", "axis": "Z", "positive": "up"},
     }
     coordinates: dict[str, Any] = {}
@@ -263,13 +265,12 @@ def extinction_variables(
         centres, half = grid.centres(axis), grid.spacing[axis] / 2
         coordinates[name] = (name, centres, {"units": "km", "bounds": f"{name}_bounds", **standard[name]})
         edges = np.column_stack([centres - half, centres + half])
-        described = {"units": "km", "long_name": f"faces of the voxels along {name}"}
-        coordinates[f"{name}_bounds"] = ((name, "bound"), edges, described)
+        coordinates[f"{name}_bounds"] = ((name, "bound"), edges)  # CF: without attributes of their own
     described = {
         "long_name": "cloud volume extinction coefficient",
         "units": "km-1",
     }
-    variables: dict[str, Any] = {"extinction": (AXES, extinction.astype(np.float32), described)}
+    variables: dict[str, Any] = {"extinction": (WRITTEN_AXES, extinction.T.astype(np.float32), described)}
     if effective_radius is not None:
         effective_radius = filled(effective_radius)
         if effective_radius.shape != grid.shape:
@@ -277,5 +278,5 @@ def extinction_variables(
         check_radius(path, effective_radius, extinction > 0)
         described = {"long_name": "effective radius of the cloud's droplets", "units": "um"}
         described["standard_name"] = "effective_radius_of_cloud_liquid_water_particles"
-        variables["effective_radius"] = (AXES, effective_radius.astype(np.float32), described)
+        variables["effective_radius"] = (WRITTEN_AXES, effective_radius.T.astype(np.float32), described)
     return variables, coordinates

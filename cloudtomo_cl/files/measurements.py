@@ -11,13 +11,13 @@ import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from cloudtomo_cl.errors import DataError, SettingsError
+from cloudtomo_cl.errors import DataError, InvalidSettingError, SettingsError
 from cloudtomo_cl.files.axes import components_in_order, in_order
 from cloudtomo_cl.files.extinction import extinction_variables
 from cloudtomo_cl.files.missing import undeclared_fill
 from cloudtomo_cl.files.netcdf import (
     Source,
-    axis_coordinate,
+    component_coordinate,
     factor_of,
     file_attributes,
     load_dataset,
@@ -155,7 +155,7 @@ def measurements_dataset(
     lists = [view for view in views if isinstance(view, RayView)]
     if lists:
         variables.update(_ray_variables(lists))
-    coordinates: dict[str, Any] = {"axis": axis_coordinate()}
+    coordinates: dict[str, Any] = {"component": component_coordinate()}
     for key, count in (("view", len(views)), ("row", rows), ("column", columns)):
         coordinates[key] = (key, np.arange(count, dtype=np.int32), {"units": "1", "long_name": f"{key}, from 0"})
     if any(measurements.calibration_errors):
@@ -167,7 +167,7 @@ def measurements_dataset(
         of_cloud = extinction_variables(name, *cloud)
         variables.update(of_cloud[0])
         coordinates.update(of_cloud[1])
-    described = file_attributes(attributes)
+    described = file_attributes("images of a cloud, and the views that they were taken from", attributes)
     if settings is not None:
         described["settings"] = json.dumps(settings, indent=1)
     return xr.Dataset(variables, coordinates, described)
@@ -376,7 +376,9 @@ def write_rays(path: str | os.PathLike[str], view: RayView) -> None:
     variables = {name.removeprefix("ray_"): variable for name, variable in _ray_variables([view]).items()}
     width, height = view.pixels
     sizes = {"image_width": width, "image_height": height}
-    save_dataset(path, xr.Dataset(variables, {"axis": axis_coordinate()}, file_attributes(sizes)))
+    save_dataset(
+        path, xr.Dataset(variables, {"component": component_coordinate()}, file_attributes("rays of a sensor", sizes))
+    )
 
 
 def read_rays(path: str | os.PathLike[str]) -> RayView:
@@ -401,12 +403,12 @@ def read_rays(path: str | os.PathLike[str]) -> RayView:
         fields["pixels"] = tuple(np.ravel(dataset.attrs.get(name, 1))[0] for name in ("image_width", "image_height"))
     try:
         return RayView(**fields)
-    except ValidationError as error:
-        raise DataError(f"{path}: rays are not possible: {_first_error(error)}") from None
+    except InvalidSettingError as error:
+        raise DataError(f"{path}: rays are not possible: {_first_error(error.details)}") from None
 
 
-def _first_error(error: ValidationError) -> str:
-    first = error.errors()[0]
+def _first_error(errors: Sequence[Any]) -> str:
+    first = errors[0]
     where = ".".join(map(str, first["loc"]))
     return f"{where}: {first['msg']}" if where else str(first["msg"])
 
@@ -490,5 +492,5 @@ def _views(path: Any, dataset: xr.Dataset, heights: np.ndarray, widths: np.ndarr
         try:
             views.append(adapter.validate_python(table))
         except ValidationError as error:
-            raise DataError(f"{path}: view {index} is not possible: {_first_error(error)}") from None
+            raise DataError(f"{path}: view {index} is not possible: {_first_error(error.errors())}") from None
     return tuple(views)

@@ -12,6 +12,8 @@ import re
 import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Union
 
@@ -27,6 +29,10 @@ if TYPE_CHECKING:
     import xarray as xr
 
 CONVENTIONS = "CF-1.10"
+REFERENCES = (
+    "Loeub, Levis, Holodovsky, Schechner 2020: Monotonicity Prior for Cloud Tomography, ECCV 2020, "
+    "doi:10.1007/978-3-030-58523-5_17"
+)
 # Endings of the names of netCDF files; one without says nothing else.
 ENDINGS = (".nc", ".nc4", ".cdf", ".netcdf", "")
 AXES = ("x", "y", "z")
@@ -190,7 +196,6 @@ def save_dataset(path: str | os.PathLike[str], dataset: xr.Dataset) -> None:
             encoding[name]["_FillValue"] = None
     with written_whole(path) as partial, netcdf_errors():
         dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
-        _restore_bounds_units(partial, dataset)
 
 
 @contextmanager
@@ -200,18 +205,6 @@ def netcdf_errors() -> Iterator[None]:
         yield
     except RuntimeError as error:
         raise OSError(str(error)) from None
-
-
-def _restore_bounds_units(path: Path, dataset: xr.Dataset) -> None:
-    """Writes the units of bounds, which xarray leaves out where they are those of the coordinate (CF allows both)."""
-    bounds = [variable.attrs["bounds"] for variable in dataset.variables.values() if "bounds" in variable.attrs]
-    if not bounds:
-        return
-    import netCDF4
-
-    with netCDF4.Dataset(path, "a") as file:
-        for name in bounds:
-            file[name].units = dataset[name].attrs["units"]
 
 
 def number_variable(path: Any, dataset: xr.Dataset, name: str, dims: tuple[str, ...]) -> xr.DataArray:
@@ -285,14 +278,23 @@ def _spectral(unit: Unit | None, ours: str) -> bool:
     )
 
 
-def axis_coordinate() -> tuple[str, Any, dict[str, str]]:
-    """The names x, y, z along the dimension `axis`."""
+def component_coordinate() -> tuple[str, Any, dict[str, str]]:
+    """The names x, y, z along the dimension `axis`: a label, which CF lets no coordinate variable be."""
     return "axis", np.array(AXES, dtype=object), {"units": "1", "long_name": "component of a vector"}
 
 
-def file_attributes(attributes: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Attributes as netCDF holds them."""
-    described: dict[str, Any] = {"Conventions": CONVENTIONS}
+def file_attributes(title: str, attributes: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Attributes as netCDF holds them, with those that CF wants every file to have.
+
+    title : what is in the file, unless `attributes` have one
+    """
+    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    described: dict[str, Any] = {
+        "Conventions": CONVENTIONS,
+        "title": title,
+        "history": f"{now} written by cloudtomo-cl {version('cloudtomo-cl')}",
+        "references": REFERENCES,
+    }
     for name, value in (attributes or {}).items():
         described[name] = json.dumps(value) if isinstance(value, Mapping) else value
     return described

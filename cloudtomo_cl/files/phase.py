@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import ValidationError
 
-from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.errors import DataError, InvalidSettingError
 from cloudtomo_cl.files.netcdf import factor_of, file_attributes, load_dataset, netcdf_errors, number_variable
 from cloudtomo_cl.files.whole import written_whole
 from cloudtomo_cl.scene.droplets import DropletTable
@@ -116,7 +115,7 @@ def write_phase_function(
     if function.single_scattering_albedo is not None:
         albedo = by_radius(function.single_scattering_albedo)
         variables["single_scattering_albedo"] = (per_radius, albedo, described("single-scattering albedo", "1"))
-    about = file_attributes(attributes)
+    about = file_attributes("phase functions of cloud droplets", attributes)
     if isinstance(table, DropletTable):
         efficiency = described("extinction over geometric cross-section", "1")
         variables["extinction_efficiency"] = (per_radius, by_radius(table.extinction_efficiency), efficiency)
@@ -155,8 +154,8 @@ def _phase_function(path: Any, dataset: xr.Dataset) -> TabulatedPhaseFunction:
             effective_radius=tuple(radius.tolist()),
             single_scattering_albedo=None if albedo is None else tuple(albedo.tolist()),
         )
-    except ValidationError as error:
-        first = error.errors()[0]
+    except InvalidSettingError as error:
+        first = error.details[0]
         where = "".join(f"[{part}]" if isinstance(part, int) else str(part) for part in first["loc"])
         what = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
         what = f"{where} {what}, is {first['input']!r}" if where else what

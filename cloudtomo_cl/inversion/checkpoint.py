@@ -12,6 +12,7 @@ import hashlib
 import json
 import os
 import time
+import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -89,8 +90,11 @@ class Checkpoint:
         header = {name: value for name, value in vars(self).items() if name != "state"}
         digests = {name: _digest(array) for name, array in self.state.items()}
         text = json.dumps({"format": FORMAT, "digests": digests, **header}).encode()
-        with written_whole(path) as partial, open(partial, "wb") as file:
-            np.savez(file, header=np.frombuffer(text, np.uint8), **self.state)  # type: ignore[arg-type]  # no array is named allow_pickle
+        # As np.savez does it, which on a full disk leaves an archive open that fails once more when it is collected.
+        with written_whole(path) as partial, zipfile.ZipFile(partial, "w") as archive:
+            for name, array in {"header": np.frombuffer(text, np.uint8), **self.state}.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                    np.lib.format.write_array(file, np.asarray(array), allow_pickle=False)
 
 
 class _Header(BaseModel):

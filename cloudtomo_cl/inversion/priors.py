@@ -16,6 +16,7 @@ from cloudtomo_cl.inversion.patch_prior import BoundPatches
 from cloudtomo_cl.inversion.patches import Patches
 from cloudtomo_cl.inversion.relative_prior import RelativePrior
 from cloudtomo_cl.inversion.voxels import Voxels
+from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, device_errors
 from cloudtomo_cl.renamed import renamed_arguments
@@ -32,6 +33,7 @@ def roughness(extinction: np.ndarray) -> np.ndarray:
     return (27 * uniform_filter(extinction, 3, mode="nearest") - extinction) / 26 - extinction
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class PatchPrior:
     """Every patch of a cloud, 5 x 5 x 3 voxels, comes from a mixture of Gaussians that was learnt from clouds.
@@ -55,6 +57,7 @@ class PatchPrior:
     file: Path | None = None
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Prior:
     """R = N (smoothness / 2 ||A b||^2 + monotonicity R_mon) + n sparsity R_sparsity, b the extinction in km^-1.

@@ -15,7 +15,7 @@ from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, identity_of, read_checkpoint
 from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser
 from cloudtomo_cl.inversion.problem import Problem, checked_mask
-from cloudtomo_cl.inversion.records import IterationRecord, Reconstruction
+from cloudtomo_cl.inversion.records import History, IterationRecord, Reconstruction
 from cloudtomo_cl.inversion.run import (
     LARGEST_VOXEL_DEPTH,
     KeepCheckpoints,
@@ -32,6 +32,7 @@ from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.inversion.solvers.protocol import Solver
 from cloudtomo_cl.inversion.solvers.state import restored
 from cloudtomo_cl.inversion.stages import Stage, stages_of
+from cloudtomo_cl.inversion.uncertainty import DRAWS
 from cloudtomo_cl.memory import shape_text
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
@@ -89,7 +90,7 @@ def reconstruct(
     checkpoint_interval: float = 60.0,
     resume: str | os.PathLike[str] | Checkpoint | None = None,
     stop: Callable[[], bool] | None = None,
-    uncertainty: int = 0,
+    uncertainty: int = DRAWS,
 ) -> Reconstruction:
     """Recovers extinction from images.
 
@@ -112,8 +113,8 @@ def reconstruct(
         run had never been stopped, but for the history's seconds. Only the last stage may have more iterations: they
         are done unless its cost has settled; with fewer than were done already nothing more is
     stop : asked after every iteration; True ends the run with what it has, checkpoint included
-    uncertainty : draws that the standard error is made of, at the end; 0: none. Known with Gauss-Newton,
-        when the last stage was reached, the images' noise is known, and nobody asked to stop
+    uncertainty : draws that the standard error is made of, at the end, in the time of an iteration or two; 0: none.
+        Known with Gauss-Newton, when the last stage was reached, the images' noise is known, and nobody asked to stop
 
     Raises
     ------
@@ -141,7 +142,9 @@ def reconstruct(
         error = _standard_error(problem, solver, state, uncertainty, seed)
     extinction = run.on_finest_grid(problem.on_grid(state.estimate))
     error = None if error is None else run.on_finest_grid(problem.on_grid(error))
-    return Reconstruction(scene.grid, extinction, question.mask, run.history, run.stage_ends, error, limit.reached)
+    return Reconstruction(
+        scene.grid, extinction, question.mask, History(run.history), run.stage_ends, error, limit.reached
+    )
 
 
 @device_errors("the reconstruction")

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
+from cloudtomo_cl.files.extinction import WRITTEN_AXES, extinction_dataset
 from cloudtomo_cl.renamed import renamed_attributes
+from cloudtomo_cl.scene.cards import card, table
 from cloudtomo_cl.scene.grid import Grid
 
 
@@ -37,6 +40,51 @@ class IterationRecord:
     delta: float | None = None
 
 
+# Units of a history's columns; others have none.
+_UNITS = {"seconds": "s"}
+# Lines of a history that are shown at its beginning and its end.
+_SHOWN = 5
+
+
+class History(list[IterationRecord]):
+    """The records of a recovery: a list that is shown as a table, and gives its columns."""
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """One array for each field of `IterationRecord`; NaN where nothing is known. For `pandas.DataFrame(...)`."""
+        names = [field.name for field in fields(IterationRecord)]
+        values = {name: [getattr(record, name) for record in self] for name in names}
+        return {name: np.array([np.nan if one is None else one for one in column]) for name, column in values.items()}
+
+    def _rows(self) -> list[list[str]]:
+        rows = [
+            [
+                f"{record.stage + 1} of {record.stages}",
+                str(record.iteration + 1),
+                f"{record.seconds:.1f}",
+                f"{record.paths:.3g}",
+                f"{record.cost:.4g}",
+                f"{record.cost_standard_error:.1g}",
+                "" if record.epsilon is None else f"{record.epsilon:.3f}",
+                "" if record.delta is None else f"{record.delta:+.1%}",
+            ]
+            for record in self
+        ]
+        middle = [["..."] + [""] * (len(_COLUMNS) - 1)]
+        return rows if len(rows) <= 2 * _SHOWN + 1 else rows[:_SHOWN] + middle + rows[-_SHOWN:]
+
+    def __repr__(self) -> str:
+        lines = [list(_COLUMNS), *self._rows()]
+        widths = [max(map(len, column)) for column in zip(*lines)]
+        return "\n".join("  ".join(cell.rjust(width) for cell, width in zip(line, widths)) for line in lines)
+
+    def _repr_html_(self) -> str:
+        return table(_COLUMNS, self._rows())
+
+
+_COLUMNS = ("stage", "iteration", "time (s)", "paths", "cost", "± s.e.", "eps", "delta")
+
+
 @dataclass(frozen=True)
 class Reconstruction:
     """A recovered cloud.
@@ -45,7 +93,7 @@ class Reconstruction:
     ----------
     grid, extinction : km^-1, float32, shape of the grid
     mask : bool, where extinction was sought
-    history : one record per iteration
+    history : one record per iteration; `history.columns` has them as arrays
     stage_ends : seconds since the start of the run
     standard_error : of the extinction, km^-1, float32, shape of the grid (docs/explanation/uncertainty.md says of
         what); none if it was not asked for, or is not known
@@ -55,10 +103,38 @@ class Reconstruction:
     grid: Grid
     extinction: np.ndarray
     mask: np.ndarray
-    history: list[IterationRecord]
+    history: History
     stage_ends: list[float]
     standard_error: np.ndarray | None = None
     timed_out: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "history", History(self.history))
+
+    def to_dataset(self) -> Any:
+        """An xarray Dataset: extinction(z, y, x), mask, standard error where known, and the history as history_*(step).
+
+        Units and coordinates are those of the files that the command line writes.
+        """
+        dataset = extinction_dataset(self.grid, self.extinction)
+        described = {"long_name": "voxels that the recovery could fill", "units": "1"}
+        dataset["mask"] = (WRITTEN_AXES, self.mask.T.astype(np.int8), described)
+        if self.standard_error is not None:
+            described = {"long_name": "standard error of extinction", "units": "km-1"}
+            dataset["extinction_standard_error"] = (WRITTEN_AXES, self.standard_error.T, described)
+        for name, column in self.history.columns.items():
+            dataset[f"history_{name}"] = ("step", column, {"long_name": name, "units": _UNITS.get(name, "1")})
+        return dataset
+
+    def _repr_html_(self) -> str:
+        facts = {"voxels": self.grid.text, "largest extinction": f"{self.extinction.max():.4g} km^-1"}
+        if self.history:
+            last = self.history[-1]
+            facts["iterations"] = f"{len(self.history)} in {last.seconds:.0f} s"
+            if last.epsilon is not None:
+                facts["error"] = f"eps {last.epsilon:.3f}"
+        depths = self.extinction.sum(axis=2, dtype=float) * self.grid.spacing[2]
+        return card("Reconstruction", facts, [("optical depth from above", depths.T[::-1])])
 
     def __repr__(self) -> str:
         text = f"{self.grid.text}, extinction up to {self.extinction.max():.4g} km^-1"

@@ -10,6 +10,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.messages import answering
 from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Count, Grid
 from cloudtomo_cl.scene.scene import NotNegative
@@ -23,6 +24,7 @@ _GROWTH = 1.8
 _SIGNIFICANCE = 2.0
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Stage:
     """One resolution of the descent.

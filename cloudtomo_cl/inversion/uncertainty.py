@@ -9,6 +9,8 @@ import numpy as np
 from cloudtomo_cl.inversion.bound_prior import FrozenPrior, NoiseUnits
 from cloudtomo_cl.transport.jacobian import Jacobian
 
+# Of a standard error where nobody says otherwise, in Python as on the command line.
+DRAWS = 24
 # Of the conjugate gradients between two looks at the bounds: at most, and the residual relative to the right side
 # at which they end. And how often the bounds are looked at.
 _ITERATIONS = 30

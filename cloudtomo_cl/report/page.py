@@ -6,14 +6,17 @@ import base64
 import html
 import json
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from string import Template
 from typing import Any
 
 import numpy as np
 
 from cloudtomo_cl.report.comparison import in_standard_errors, per_cent
+from cloudtomo_cl.report.volume import marks_of
 from cloudtomo_cl.scene.grid import Grid, resample
 from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.scene import Sun
 
 # The page holds two bytes for every voxel shown, times 4/3: larger volumes are shown coarser.
 _MOST_VOXELS = 500_000
@@ -30,140 +33,25 @@ _VIEW_COLUMNS = (
     f"beyond {_SEEN} standard errors",
 )
 _CAPTIONS = {
+    "volume": "The cloud from the south-south-west, lit by the sun; arrows show the directions of the sensors, "
+    "numbered as the views, not their distances.",
     "maps": "Optical depth from above, and the largest extinction along y and along x.",
     "scatter": "Every voxel that holds cloud in one of the two; the line is perfect agreement.",
-    "history": "The cost with its noise, and the error if the truth is known; dotted lines are the ends of stages.",
-    "images": "The measured images, all on one grey scale.",
+    "history": "The cost with its noise, and the error if the truth is known. Each stage has images of its own (other "
+    "pixels, other noise), so the costs of two stages are not compared, and no line joins them.",
+    "images": "The measured images, all on one grey scale, with the zenith angle and azimuth (from east towards north) "
+    "of the direction from the cloud to the sensor; arrows show where north and the sun are.",
     "comparison": "Measured images, images of the recovered cloud, and their difference: in per cent of the view's "
     "measured mean, and in standard errors of both images together, the gain's among them. Of a perfect recovery one "
     "pixel in twenty would differ by more than two of them.",
 }
 
-_PAGE = Template("""\
-<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>$title</title>
-<style>
-body { font: 16px/1.5 system-ui, sans-serif; color: #222; max-width: 72rem; margin: 0 auto; padding: 1rem 2rem 4rem; }
-h1 { font-size: 1.6rem; margin-bottom: 0; } h2 { font-size: 1.2rem; margin: 2.5rem 0 .5rem; }
-p.source { color: #555; margin-top: .2rem; }
-dl.numbers { display: flex; flex-wrap: wrap; gap: 1rem 2.5rem; margin: 1.5rem 0; }
-dl.numbers dt { color: #555; font-size: .85rem; } dl.numbers dd { margin: 0; font-size: 1.3rem; }
-figure { margin: 1rem 0; } figure img { max-width: 100%; } figcaption, .note { color: #555; font-size: .9rem; }
-table { border-collapse: collapse; font-size: .9rem; } th, td { text-align: right; padding: .15rem .8rem; }
-th { border-bottom: 1px solid #999; font-weight: 600; } td:first-child, th:first-child { text-align: left; }
-.wide { overflow-x: auto; }
-.panels { display: flex; flex-wrap: wrap; gap: 1.5rem; } .panels figure { margin: 0; }
-canvas { image-rendering: pixelated; border: 1px solid #ccc; display: block; cursor: crosshair; }
-.controls { display: flex; flex-wrap: wrap; gap: 1rem; align-items: center; margin: .8rem 0; }
-input[type=range] { width: 22rem; max-width: 100%; }
-.bar { height: 14px; width: 100%; margin-top: .3rem; } .ends { display: flex; justify-content: space-between;
-  font-size: .8rem; color: #555; }
-output { font-variant-numeric: tabular-nums; }
-pre { background: #f5f5f5; padding: .8rem; overflow-x: auto; font-size: .8rem; }
-summary { cursor: pointer; }
-</style>
-</head>
-<body>
-<h1>$title</h1>
-<p class="source">$source</p>
-$notes
-<dl class="numbers">$numbers</dl>
-<h2>Slices</h2>
-<div id="viewer">
-<div class="controls">
-<label>across <select id="axis"><option value="2">z (from above)</option><option value="1">y (from the south)</option>
-<option value="0">x (from the east)</option></select></label>
-<label><input id="slice" type="range" min="0" step="1" aria-label="layer"></label>
-<output id="where"></output>
-</div>
-<div class="panels" id="panels"></div>
-<p class="note"><output id="value">Point at a voxel for its extinction.</output> $coarser</p>
-</div>
-<noscript><p>The slider needs JavaScript; figures/slices.png shows some layers without.</p></noscript>
-$figures
-$views
-<h2>Settings and device</h2>
-<details><summary>All settings, versions and the device</summary><pre>$settings</pre></details>
-<script>
-const cloud = $volumes;
-$script
-</script>
-</body>
-</html>
-""")
-
-# Volumes come as unsigned 16-bit numbers, x slowest; a layer is drawn one pixel for each voxel and scaled up.
-_SCRIPT = """\
-const decode = text => new Uint16Array(Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer);
-const volumes = cloud.volumes.map(v => ({name: v.name, data: decode(v.data)}));
-const [nx, ny, nz] = cloud.shape, names = ['x', 'y', 'z'];
-const at = (data, i, j, k) => data[(i * ny + j) * nz + k] * cloud.step;
-const panels = volumes.map(v => ({title: v.name, colours: cloud.sequential, low: 0, high: cloud.largest,
-  value: (i, j, k) => at(v.data, i, j, k)}));
-if (volumes.length === 2) panels.push({title: 'recovered - true', colours: cloud.diverging,
-  low: -cloud.largest, high: cloud.largest,
-  value: (i, j, k) => at(volumes[1].data, i, j, k) - at(volumes[0].data, i, j, k)});
-const holder = document.getElementById('panels');
-for (const panel of panels) {
-  const figure = document.createElement('figure'), caption = document.createElement('figcaption');
-  panel.canvas = document.createElement('canvas');
-  caption.textContent = panel.title;
-  const bar = document.createElement('div'), ends = document.createElement('div');
-  bar.className = 'bar'; ends.className = 'ends';
-  bar.style.background = 'linear-gradient(to right,' + panel.colours.filter((c, n) => n % 16 === 0 || n === 255)
-    .map(c => 'rgb(' + c.join(',') + ')').join(',') + ')';
-  for (const text of [panel.low.toPrecision(3), 'extinction, km⁻¹', panel.high.toPrecision(3)]) {
-    const span = document.createElement('span'); span.textContent = text; ends.append(span);
-  }
-  figure.append(caption, panel.canvas, bar, ends); holder.append(figure);
-}
-const axis = document.getElementById('axis'), slice = document.getElementById('slice');
-const where = document.getElementById('where'), value = document.getElementById('value');
-const plane = normal => [0, 1, 2].filter(other => other !== normal);
-function voxel(normal, index, column, row) {
-  const [right, up] = plane(normal), place = [0, 0, 0];
-  place[normal] = index; place[right] = column; place[up] = row;
-  return place;
-}
-function draw() {
-  const normal = +axis.value, index = +slice.value, [right, up] = plane(normal);
-  const width = cloud.shape[right], height = cloud.shape[up];
-  const scale = 320 / Math.max(width * cloud.spacing[right], height * cloud.spacing[up]);
-  for (const panel of panels) {
-    const canvas = panel.canvas, context = canvas.getContext('2d');
-    canvas.width = width; canvas.height = height;
-    canvas.style.width = width * cloud.spacing[right] * scale + 'px';
-    canvas.style.height = height * cloud.spacing[up] * scale + 'px';
-    const image = context.createImageData(width, height);
-    for (let row = 0; row < height; row++) for (let column = 0; column < width; column++) {
-      const share = (panel.value(...voxel(normal, index, column, row)) - panel.low) / (panel.high - panel.low);
-      const colour = panel.colours[Math.max(0, Math.min(255, Math.round(share * 255)))];
-      image.data.set([...colour, 255], 4 * ((height - 1 - row) * width + column));
-    }
-    context.putImageData(image, 0, 0);
-    canvas.onmousemove = event => {
-      const column = Math.min(width - 1, Math.floor(event.offsetX / canvas.clientWidth * width));
-      const row = height - 1 - Math.min(height - 1, Math.floor(event.offsetY / canvas.clientHeight * height));
-      const place = voxel(normal, index, column, row);
-      const position = place.map((n, a) => (cloud.origin[a] + (n + .5) * cloud.spacing[a]).toFixed(3));
-      value.textContent = `x ${position[0]}, y ${position[1]}, z ${position[2]} km: ` +
-        panels.map(p => `${p.title} ${p.value(...place).toFixed(1)}`).join(', ') + ' km⁻¹';
-    };
-  }
-  const position = cloud.origin[normal] + (index + .5) * cloud.spacing[normal];
-  where.textContent = `${names[normal]} = ${position.toFixed(3)} km (layer ${index + 1} of ${cloud.shape[normal]}); ` +
-    `${names[right]} to the right, ${names[up]} up`;
-}
-function choose() {
-  slice.max = cloud.shape[+axis.value] - 1;
-  slice.value = cloud.start[+axis.value];
-  draw();
-}
-axis.oninput = choose; slice.oninput = draw; choose();"""
+# Beside the numbers, where the truth is known.
+_EXPLAINED = (
+    "eps is the sum of the absolute errors of the extinction over the sum of the true extinction: 0 is perfect, 1 is "
+    "as bad as no cloud at all. delta is the recovered optical mass (the sum of the extinction times the volume) "
+    "less the true one, over the true one: +10 % is a tenth too much cloud."
+)
 
 
 def report_page(
@@ -178,6 +66,7 @@ def report_page(
     measurements: Measurements | None = None,
     modelled: Measurements | None = None,
     notes: Sequence[str] = (),
+    sun: Sun | None = None,
 ) -> str:
     """The page as HTML, with figures and volumes inside of it.
 
@@ -190,11 +79,17 @@ def report_page(
     settings : types of JSON
     measurements, modelled : images, and those of the recovered cloud
     notes : sentences about what is left out
+    sun : that the cloud is lit by, if it is known
     """
     shown, factor = _coarse_enough(grid)
-    # Slices are there to slide through.
-    drawn = "".join(_figure(name, picture) for name, picture in figures.items() if name != "slices")
-    return _PAGE.substitute(
+    # Slices are there to slide through, and the volume to be turned.
+    own = ("slices", "volume")
+    drawn = "".join(_figure(name, picture) for name, picture in figures.items() if name not in own)
+    return Template(_asset("page.html")).substitute(
+        style=_asset("page.css"),
+        explained="" if truth is None else f'<p class="note">{html.escape(_EXPLAINED)}</p>',
+        volume=_picture("volume", figures["volume"]) if "volume" in figures else "",
+        scene=json.dumps(marks_of(grid, sun, () if measurements is None else measurements.views)),
         title=html.escape(title),
         source=html.escape(source),
         notes="".join(f'<p class="note">{html.escape(note)}</p>' for note in notes),
@@ -206,17 +101,24 @@ def report_page(
         views="" if measurements is None or modelled is None else _view_table(measurements, modelled),
         settings=html.escape(json.dumps(settings, indent=2)),
         volumes=json.dumps(_volumes(grid, shown, recovered, truth)),
-        script=_SCRIPT,
+        script=_asset("slices.js") + _asset("volume.js"),
     )
+
+
+def _asset(name: str) -> str:
+    """A file beside this one."""
+    return files("cloudtomo_cl.report").joinpath(name).read_text(encoding="utf-8")
 
 
 def _figure(name: str, picture: bytes) -> str:
+    return f"<h2>{html.escape(name.capitalize())}</h2>{_picture(name, picture)}\n"
+
+
+def _picture(name: str, picture: bytes) -> str:
     text = base64.b64encode(picture).decode("ascii")
     caption = html.escape(_CAPTIONS.get(name, ""))
-    return (
-        f'<h2>{html.escape(name.capitalize())}</h2><figure><img alt="{caption}" '
-        f'src="data:image/png;base64,{text}"><figcaption>{caption}</figcaption></figure>\n'
-    )
+    image = f'<img alt="{caption}" src="data:image/png;base64,{text}">'
+    return f'<figure><div class="wide">{image}</div><figcaption>{caption}</figcaption></figure>'
 
 
 def _coarse_enough(grid: Grid) -> tuple[Grid, int]:

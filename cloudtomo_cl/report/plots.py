@@ -13,10 +13,13 @@ import numpy as np
 
 from cloudtomo_cl.files.whole import written_whole
 from cloudtomo_cl.report.comparison import in_standard_errors, per_cent
+from cloudtomo_cl.report.directions import angles, in_image, kilometre, round_length, towards_sensor
+from cloudtomo_cl.report.volume import SUNLIGHT, plot_volume
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.phase import AnyPhaseFunction, TabulatedPhaseFunction
-from cloudtomo_cl.scene.sensors import RayView
+from cloudtomo_cl.scene.scene import Sun
+from cloudtomo_cl.scene.sensors import RayView, View
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,12 +29,14 @@ if TYPE_CHECKING:
 PICTURES = (".png", ".pdf", ".svg")
 _DOTS_PER_INCH = 130
 # Names of the figures that a run may have.
-FIGURES = ("slices", "maps", "history", "scatter", "images", "comparison")
+FIGURES = ("volume", "slices", "maps", "history", "scatter", "images", "comparison")
 EXTINCTION_LABEL = "extinction (km$^{-1}$)"
 RADIANCE_LABEL = "radiance (W m$^{-2}$ sr$^{-1}$)"
 _AXES = "xyz"
 # More views side by side are too small to see anything.
 _COMPARED_VIEWS = 6
+# Directions closer to the vertical, degrees, have no azimuth worth telling.
+_LEVEL = 0.5
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -173,7 +178,9 @@ def plot_slices(figure: Figure, grid: Grid, recovered: np.ndarray, truth: np.nda
 
 
 def plot_history(axes: Axes, history: Mapping[str, np.ndarray]) -> None:
-    """Cost with its noise, and the error if known, against time; stage ends are marked.
+    """Cost with its noise, and the error if known, against time.
+
+    Costs of different stages are costs of different images: a line for each stage, none between them.
 
     Parameters
     ----------
@@ -186,22 +193,32 @@ def plot_history(axes: Axes, history: Mapping[str, np.ndarray]) -> None:
         axes.set_yscale("log")
     elif (noise > 0).any():
         axes.set_yscale("symlog", linthresh=float(np.median(noise[noise > 0])))
-    lines = axes.plot(seconds, cost, color="tab:blue", linewidth=1, label="cost ± its standard error")
+    stages = np.split(np.arange(len(seconds)), np.flatnonzero(np.diff(history["stage"])) + 1)
+    lines = []
+    for stage in stages:
+        # A stage of one iteration is a point.
+        lines = axes.plot(seconds[stage], cost[stage], ".-", color="tab:blue", linewidth=1, markersize=3,
+                          label="cost of a stage's images ± its standard error")  # fmt: skip
     limits = axes.get_ylim()
-    axes.fill_between(seconds, cost - noise, cost + noise, color="tab:blue", alpha=0.2, linewidth=0)
+    for number, stage in enumerate(stages):
+        time, middle, error = seconds[stage], cost[stage], noise[stage]
+        axes.fill_between(time, middle - error, middle + error, color="tab:blue", alpha=0.2, linewidth=0)
+        if len(stages) > 1:
+            place = (float(np.sqrt(max(time[0], 1e-9) * max(time[-1], 1e-9))), 1.0)
+            axes.text(*place, str(number + 1), transform=axes.get_xaxis_transform(), ha="center", va="bottom",
+                      fontsize="small", color="0.4")  # fmt: skip
+        if number + 1 < len(stages):
+            axes.axvline(time[-1], color="0.75", linewidth=0.8, linestyle=":")
     axes.set_ylim(limits)  # of the costs, however large the first and noisiest ones' errors
-    axes.set_xlabel("time (s)")
+    axes.set_xlabel("time (s)" + ("; above: the stages" if len(stages) > 1 else ""))
     axes.set_ylabel("cost")
-    for end in seconds[:-1][np.diff(history["stage"]) != 0]:
-        marker = axes.axvline(end, color="0.6", linewidth=0.8, linestyle=":", label="end of a stage")
-        lines = [*lines[:1], marker]
     if np.isfinite(history["epsilon"]).any():
         errors = axes.twinx()
         lines += errors.plot(seconds, history["epsilon"], color="tab:red", linewidth=1.2, label="error eps")
         errors.set_ylabel("eps", color="tab:red")
         errors.set_ylim(0, None)
     # Above: wherever it lay inside, it could hide the end of a line.
-    axes.legend(handles=lines, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(lines), frameon=False)
+    axes.legend(handles=lines, loc="lower center", bbox_to_anchor=(0.5, 1.04), ncols=len(lines), frameon=False)
 
 
 def plot_scatter(axes: Axes, recovered: np.ndarray, truth: np.ndarray) -> None:
@@ -270,8 +287,11 @@ def _image_columns(measurements: Measurements) -> int:
     return int(np.ceil(np.sqrt(len(measurements.views))))
 
 
-def plot_images(figure: Figure, measurements: Measurements) -> None:
-    """The views in a grid, on one grey scale, row 0 at the top."""
+def plot_images(figure: Figure, measurements: Measurements, grid: Grid | None = None, sun: Sun | None = None) -> None:
+    """The views in a grid, on one grey scale, row 0 at the top.
+
+    grid, sun : with them, angles, scale bars, and arrows to where north and the sun are
+    """
     count, columns = len(measurements.views), _image_columns(measurements)
     axes = figure.subplots(-(-count // columns), columns, squeeze=False)
     white = radiance_limit(measurements)
@@ -283,8 +303,45 @@ def plot_images(figure: Figure, measurements: Measurements) -> None:
             image = panel.imshow(
                 measurements.images[index], cmap=_grey(), vmin=0, vmax=white, interpolation="nearest", aspect=aspect
             )
-            panel.set_title(f"view {index}")
+            title = f"view {index}"
+            if grid is not None:
+                zenith, azimuth = angles(towards_sensor(measurements.views[index], grid))
+                title += f": zenith {zenith:.0f}°" + (f", azimuth {azimuth:.0f}°" if zenith >= _LEVEL else "")
+                _draw_directions(panel, measurements.views[index], grid, sun)
+            panel.set_title(title, fontsize="small")
     figure.colorbar(image, ax=axes, label=RADIANCE_LABEL, extend="max", shrink=0.6)
+
+
+def _draw_directions(panel: Axes, view: View, grid: Grid, sun: Sun | None) -> None:
+    """A scale bar at the lower left, and at the lower right arrows to where north and the sun are."""
+    from matplotlib.patheffects import withStroke
+
+    outlined: dict[str, Any] = {"path_effects": [withStroke(linewidth=2, foreground="black")]}
+    width, height = view.pixels
+    size = min(width, height)
+    per_km = kilometre(view, grid)
+    if per_km:
+        length = round_length(0.35 * width / per_km)
+        left, level = 0.06 * width, 0.93 * height
+        bar: dict[str, Any] = {"color": "white", "linewidth": 2, "solid_capstyle": "butt"}
+        panel.plot([left, left + length * per_km], [level, level], **bar)
+        panel.text(left, level - 0.03 * size, f"{length:g} km", color="white", fontsize=6, va="bottom", **outlined)
+    start = np.array([width - 0.22 * size, height - 0.2 * size])
+    towards = [("N", np.array([0.0, 1.0, 0.0]), "white")]
+    if sun is not None and sun.zenith > _LEVEL:
+        level_part = sun.direction * [1, 1, 0]
+        towards.append(("sun", level_part / np.linalg.norm(level_part), SUNLIGHT))
+    for text, horizontal, colour in towards:
+        moved = in_image(view, grid, horizontal)
+        if moved is None or not moved.any():
+            continue
+        # What points into the image is short there.
+        step = 0.12 * size * moved / max(float(np.linalg.norm(moved)), per_km or 0.0)
+        tip, place = (start + share * step for share in (1.0, 1.0 + 0.04 * size / np.linalg.norm(step)))
+        arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": 1, "shrinkA": 0, "shrinkB": 0}
+        panel.annotate("", (tip[0], tip[1]), (start[0], start[1]), arrowprops=arrow)
+        panel.text(place[0], place[1], text, color=colour, fontsize=6, ha="center", va="center", **outlined)
+    panel.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
 
 
 def plot_image(axes: Axes, image: np.ndarray, white: float) -> Any:
@@ -362,11 +419,14 @@ def run_figures(
     truth: np.ndarray | None = None,
     measurements: Measurements | None = None,
     modelled: Measurements | None = None,
+    sun: Sun | None = None,
 ) -> dict[str, Figure]:
-    """The figures of a run by name: slices, maps, history, and scatter, images, comparison where known."""
+    """The figures of a run by name: volume, slices, maps, history, and scatter, images, comparison where known."""
     figures: dict[str, Figure] = {}
-    rows = sum(grid.extent[2 if normal == 1 else 1] / grid.extent[0] for normal in (1, 1, 2))
     panels = 1 if truth is None else 2
+    figures["volume"] = new_figure(3.6 * panels + 0.4, 5.4)
+    plot_volume(figures["volume"], grid, recovered, truth, sun, () if measurements is None else measurements.views)
+    rows = sum(grid.extent[2 if normal == 1 else 1] / grid.extent[0] for normal in (1, 1, 2))
     figures["slices"] = new_figure(1.5 + 3.2 * panels, min(max(1.5 + 3.0 * rows, 5), 14))
     plot_slices(figures["slices"], grid, recovered, truth)
     tall = max(1.0, grid.extent[2] / grid.extent[0], grid.extent[1] / grid.extent[0])
@@ -381,7 +441,7 @@ def run_figures(
         columns = _image_columns(measurements)
         rows = -(-len(measurements.views) // columns)
         figures["images"] = new_figure(2.5 * columns + 1.5, 2.7 * rows + 0.3)
-        plot_images(figures["images"], measurements)
+        plot_images(figures["images"], measurements, grid, sun)
     if measurements is not None and modelled is not None:
         count = len(measurements.views)
         views = np.unique(np.linspace(0, count - 1, min(count, _COMPARED_VIEWS)).round().astype(int))

@@ -48,6 +48,10 @@ class DropletTable:
                 f"{len(self.phase_function.effective_radius)}, one for each effective_radius"
             )
 
+    def __repr__(self) -> str:
+        about = f"{self.wavelength_nm:g} nm, effective variance {self.effective_variance:g}"
+        return f"DropletTable({about}, {self.phase_function!r})"
+
     @property
     def mass_extinction(self) -> np.ndarray:
         """Extinction of a gram of water in droplets of each effective radius, m^2 g^-1, shape (k,)."""

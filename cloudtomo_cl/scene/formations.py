@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.messages import answering
 from cloudtomo_cl.scene.grid import Coordinate, Length, Triple
 from cloudtomo_cl.scene.scene import Angle
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, Pixels, PushBroomView, RayView
@@ -25,6 +26,7 @@ _MOST_CAMERAS = 10_000
 MISR_ANGLES = (70.5, 60.0, 45.6, 26.1, 0.0, -26.1, -45.6, -60.0, -70.5)
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class RingOfViews:
     """Cameras on a horizontal ring that look at one point, and one at nadir above it.
@@ -70,6 +72,7 @@ class RingOfViews:
         )
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class StringOfViews:
     """Orthographic views of one point from several angles along a flight track, as from a satellite.
@@ -110,6 +113,7 @@ class StringOfViews:
         )
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class StringOfScans:
     """Push-broom images of one place from several angles along one flight track.

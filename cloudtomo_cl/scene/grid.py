@@ -9,6 +9,8 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.messages import answering
+
 Count = Annotated[int, Field(ge=1)]
 Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Coordinate = Annotated[float, Field(allow_inf_nan=False)]
@@ -19,6 +21,7 @@ def _times(numbers: Sequence[float]) -> str:
     return " x ".join(f"{number:.6g}" for number in numbers)
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Grid:
     """A box of voxels; extinction is constant inside a voxel.

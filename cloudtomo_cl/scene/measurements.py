@@ -11,6 +11,7 @@ import numpy as np
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.renamed import renamed_attributes
 from cloudtomo_cl.scene.arrays import filled
+from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.grid import resample
 from cloudtomo_cl.scene.pixel_errors import pooled_standard_errors
 from cloudtomo_cl.scene.sensors import RayView, View
@@ -100,6 +101,12 @@ class Measurements:
         radiances = f"radiance {least:.4g} to {most:.4g} W m^-2 sr^-1"
         bad = self.invalid_pixels
         return f"Measurements({len(self.views)} views of {pixels} pixels, {radiances}{f', {bad} bad' if bad else ''})"
+
+    def _repr_html_(self) -> str:
+        facts = {"views": str(len(self.views)), "pixels": str(sum(image.size for image in self.images))}
+        facts["radiance"] = f"up to {max(float(np.nanmax(image)) for image in self.images):.4g} W m^-2 sr^-1"
+        facts["invalid pixels"] = str(self.invalid_pixels)
+        return card("Measurements", facts, [(f"view {n}", image) for n, image in enumerate(self.images)])
 
     @property
     def valid(self) -> tuple[np.ndarray, ...]:

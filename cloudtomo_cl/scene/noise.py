@@ -9,6 +9,7 @@ from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.messages import answering
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import NotNegative
 
@@ -17,6 +18,7 @@ _HEADROOM = 1.25
 _MOST_ELECTRONS = 1e12
 
 
+@answering
 @dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
 class Noise:
     """What a camera adds to the radiance that its pixels receive.

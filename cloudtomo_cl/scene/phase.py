@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.messages import answering
 from cloudtomo_cl.scene.arrays import filled
 
 # A table's integral may be off by this much: rounded values and coarse angles pass, another
@@ -46,6 +47,7 @@ def _henyey_greenstein(cosine: np.ndarray | float, g: float) -> np.ndarray:
     return (1 - g**2) / (4 * np.pi * (1 + g**2 - 2 * g * np.asarray(cosine, dtype=np.float64)) ** 1.5)
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class HenyeyGreenstein:
     """Henyey and Greenstein 1941.
@@ -64,6 +66,7 @@ class HenyeyGreenstein:
         return _henyey_greenstein(cosine, self.g)
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class DoubleHenyeyGreenstein:
     """A forward and a backward lobe (Irvine 1965): the sum of two of Henyey and Greenstein's.
@@ -90,6 +93,7 @@ class DoubleHenyeyGreenstein:
         return self.forward_fraction * forward + (1 - self.forward_fraction) * backward
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class TabulatedPhaseFunction:
     """A phase function from a table, for instance of Mie's theory, for one or several droplet radii.
@@ -110,6 +114,11 @@ class TabulatedPhaseFunction:
     effective_radius: Annotated[tuple[_Radius, ...], BeforeValidator(_tuples)] = ()
     single_scattering_albedo: Annotated[tuple[_Fraction, ...], BeforeValidator(_tuples)] | None = None
     type: Literal["table"] = "table"
+
+    def __repr__(self) -> str:
+        radii = self.effective_radius
+        text = f", effective radius {radii[0]:g} to {radii[-1]:g} um ({len(radii)})" if radii else ""
+        return f"TabulatedPhaseFunction({len(self.angle)} angles{text})"
 
     def __post_init__(self) -> None:
         angle, count = np.array(self.angle), max(len(self.effective_radius), 1)

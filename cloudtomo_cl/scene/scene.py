@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.messages import answering
 from cloudtomo_cl.scene.grid import Grid, resample
 from cloudtomo_cl.scene.phase import HenyeyGreenstein, PhaseFunction
 
@@ -32,6 +33,7 @@ def direction(zenith: float, azimuth: float) -> np.ndarray:
     return np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Sun:
     """A collimated sun.
@@ -53,6 +55,7 @@ class Sun:
         return direction(self.zenith, self.azimuth)
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Cloud:
     """Optics of the droplets, the same in every voxel.
@@ -75,6 +78,7 @@ _SCALE_HEIGHT = 8.0  # km
 _STANDARD_LEVELS = tuple(float(level) for level in (*range(0, 20), *range(20, 51, 5)))  # km
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Air:
     """Molecules; they scatter after Rayleigh.
@@ -166,6 +170,7 @@ def rayleigh_optical_depth(wavelength: float) -> float:
     return 0.0021520 * numerator / (1 + 0.0027059889 / square - 85.968563 * square)
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Surface:
     """A Lambertian surface at z = 0, also outside of an open domain.
@@ -178,6 +183,7 @@ class Surface:
     albedo: Fraction = 0.0
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Boundary:
     """What lies beside the domain.
@@ -190,6 +196,7 @@ class Boundary:
     horizontal: Literal["open", "periodic"] = "open"
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Scene:
     """Everything but the extinction and the sensors."""

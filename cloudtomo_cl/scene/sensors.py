@@ -10,14 +10,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, WithJsonSchema, model_validator
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.messages import answering
 from cloudtomo_cl.scene.arrays import filled
+from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.grid import Count, Grid, Length, Triple
 from cloudtomo_cl.scene.scene import Angle, Scene, direction
 
@@ -67,6 +69,12 @@ def line_of_sight(position: Triple, target: Triple) -> np.ndarray:
     return sight / norm
 
 
+def _card_of(view: Any) -> str:
+    """What a notebook shows of a view: its fields."""
+    given = {field.name: getattr(view, field.name) for field in fields(view) if field.name != "type"}
+    return card(type(view).__name__, {name: str(value) for name, value in given.items() if value is not None})
+
+
 class AffineView(ABC):
     """What views have in common whose rays are affine in the image coordinates."""
 
@@ -84,6 +92,9 @@ class AffineView(ABC):
         Returns two arrays of shape (3, 3): the value at (0, 0), its change over u, over v.
         Along each image coordinate either the origin changes or the direction, not both.
         """
+
+    def _repr_html_(self) -> str:
+        return _card_of(self)
 
     def with_pixels(self, pixels: Pixels) -> View:
         """The same field of view in other pixels (width, height)."""
@@ -113,6 +124,7 @@ class AffineView(ABC):
             return u if moves[0] else u / depth, v if moves[1] else v / depth, depth
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class PerspectiveView(AffineView):
     """A pinhole camera, on an aircraft or on the ground.
@@ -165,6 +177,7 @@ class PerspectiveView(AffineView):
         return origin, np.array([corner, width * right, -height * up])
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class OrthographicView(AffineView):
     """Parallel rays, as from a satellite far away.
@@ -259,6 +272,7 @@ class OrthographicView(AffineView):
         return centre + max(void, 0.0) * sight
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class PushBroomView(AffineView):
     """A line scanner on a straight and level flight track: perspective across it, parallel along it.
@@ -307,6 +321,7 @@ class PushBroomView(AffineView):
         return origin, np.array([sight - width / 2 * right, width * right, np.zeros(3)])
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class RadiometerView(AffineView):
     """The radiance that leaves the domain's top, or reaches its bottom, in one direction.
@@ -370,6 +385,7 @@ RowsOfThree = Annotated[
 ]
 
 
+@answering
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
 class RayView:
     """Arbitrary rays, one for each pixel: for sensors that no other view describes.
@@ -409,6 +425,12 @@ class RayView:
         if self.pixels[0] * self.pixels[1] != count:
             raise ValueError(f"pixels are {self.pixels[0]} x {self.pixels[1]} for {count} rays: give as many of both")
         return self
+
+    def __repr__(self) -> str:
+        return f"RayView({len(self.origins)} rays, {self.pixels[0]} x {self.pixels[1]} pixels)"
+
+    def _repr_html_(self) -> str:
+        return card("RayView", {"rays": str(len(self.origins)), "pixels": f"{self.pixels[0]} x {self.pixels[1]}"})
 
     def __eq__(self, other: object) -> bool:
         return (

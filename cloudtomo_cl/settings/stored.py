@@ -13,9 +13,9 @@ from pydantic_core import PydanticSerializationError, to_json
 from cloudtomo_cl.errors import SettingsError
 from cloudtomo_cl.files.extinction import read_effective_radius, read_extinction
 from cloudtomo_cl.files.measurements import read_settings
+from cloudtomo_cl.messages import error_text, lines_of
 from cloudtomo_cl.scene.noise import Noise
 from cloudtomo_cl.scene.scene import Scene
-from cloudtomo_cl.settings.messages import error_text, lines_of
 from cloudtomo_cl.settings.overrides import with_overrides
 
 

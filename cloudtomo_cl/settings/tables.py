@@ -32,6 +32,8 @@ from cloudtomo_cl.inversion.priors import PatchPrior, Prior
 from cloudtomo_cl.inversion.solvers.choice import SolverTable
 from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.inversion.stages import Stage
+from cloudtomo_cl.inversion.uncertainty import DRAWS
+from cloudtomo_cl.messages import error_text, lines_of
 from cloudtomo_cl.scene.formations import RingOfViews, StringOfScans, StringOfViews
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.noise import Noise
@@ -45,7 +47,6 @@ from cloudtomo_cl.scene.sensors import (
     RayView,
     View,
 )
-from cloudtomo_cl.settings.messages import error_text, lines_of
 from cloudtomo_cl.settings.old_keys import refuse_old_keys
 from cloudtomo_cl.settings.overrides import with_overrides
 from cloudtomo_cl.settings.stored import scene_of_tables
@@ -195,7 +196,7 @@ class Run:
     seed: Seed = 0
     time_limit: Positive | None = None
     checkpoint_interval: NotNegative = 60.0
-    uncertainty: Annotated[int, Field(ge=0, le=10_000)] = 24
+    uncertainty: Annotated[int, Field(ge=0, le=10_000)] = DRAWS
 
 
 class RenderSettings(BaseModel):

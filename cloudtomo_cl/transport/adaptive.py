@@ -98,7 +98,9 @@ def render_to_error(
             if progress:
                 progress(finished / total)
         budget -= total
-        rendering = _assembled([(chosen, part) for (_, chosen), part in zip(groups, done) if part is not None], audits)
+        rendering = _assembled(
+            [(chosen, part) for (_, chosen), part in zip(groups, done) if part is not None], audits, operator
+        )
         missing = float((relative_error(operator, rendering) / target_error).max())
         if missing <= 1 or budget < len(operator.pixels) * 2:
             return rendering
@@ -155,7 +157,7 @@ def _samples(operator: RadianceOperator, pilot: Rendering, target: float) -> np.
     return samples
 
 
-def _assembled(parts: list[tuple[np.ndarray, Rendering]], audits: list) -> Rendering:
+def _assembled(parts: list[tuple[np.ndarray, Rendering]], audits: list, operator: RadianceOperator) -> Rendering:
     """One rendering of all pixels out of those of the groups."""
     order = np.argsort(np.concatenate([chosen for chosen, _ in parts]))
 
@@ -170,4 +172,5 @@ def _assembled(parts: list[tuple[np.ndarray, Rendering]], audits: list) -> Rende
         halves=values("halves"),
         samples=samples,
         audit=combined(audits),
+        _operator=operator,
     )

@@ -83,6 +83,11 @@ def _estimate(batches: np.ndarray) -> Estimate:
     return Estimate(mean, error) if mean.ndim else Estimate(float(mean), float(error))
 
 
+def can_be_open(scene: Scene) -> bool:
+    """Whether fluxes of a scene can be had with open sides: nothing arrives from an endless plane beside it."""
+    return scene.surface.albedo == 0 and (scene.air is None or not scene.air.is_outside)
+
+
 class FluxOperator:
     """Follows photons from the sun; the walk is the one of the radiances.
 
@@ -102,8 +107,7 @@ class FluxOperator:
     def __init__(
         self, scene: Scene, device: Device | None = None, *, effective_radius: np.ndarray | None = None
     ) -> None:
-        outside = scene.air is not None and scene.air.is_outside
-        if scene.boundary.horizontal == "open" and (scene.surface.albedo > 0 or outside):
+        if scene.boundary.horizontal == "open" and not can_be_open(scene):
             raise DataError(
                 "fluxes with open sides over a reflecting surface, or in air that goes on beside the grid, would need "
                 'endlessly many photons: choose boundary.horizontal = "periodic", or a black surface and no such air'

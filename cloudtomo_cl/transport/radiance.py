@@ -10,12 +10,15 @@ from typing import Any, Literal
 import numpy as np
 
 from cloudtomo_cl.errors import DataError, TransportError
+from cloudtomo_cl.files.measurements import measurements_dataset
 from cloudtomo_cl.memory import require_countable, shape_text, voxels_of
 from cloudtomo_cl.opencl.device import Device, Pace, choose_device, device_errors
 from cloudtomo_cl.opencl.fixed_point import require_sums
 from cloudtomo_cl.opencl.layout import MOST_SAMPLES, STRUCTS, ray_array, view_structs
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.renamed import renamed_arguments, renamed_attributes
+from cloudtomo_cl.scene.cards import card
+from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.pixels import all_pixels
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.seeds import checked_seed
@@ -66,6 +69,19 @@ class Rendering:
     audit: Audit
     _medium: FilledMedium = field(repr=False)
     _launches: list[tuple[int, Any]] = field(repr=False, default_factory=list)
+    _operator: Any = field(repr=False, default=None)
+
+    def to_dataset(self) -> Any:
+        """Its images as an xarray Dataset, with views, units and standard errors: see `measurements_dataset`.
+
+        Raises DataError where the operator has no pixel of a view: there is no image.
+        """
+        return measurements_dataset(Measurements.rendered(self._operator, self))
+
+    def _repr_html_(self) -> str:
+        images = [(f"view {number}", image) for number, image in enumerate(self._operator.images(self.mean))]
+        samples = f"{np.mean(self.samples):.6g} paths per pixel, seed {self.seed}"
+        return card("Rendering", {"mean radiance": f"{self.mean.mean():.4g} W m^-2 sr^-1", "made by": samples}, images)
 
     def __repr__(self) -> str:
         samples = np.mean(self.samples)
@@ -292,7 +308,7 @@ class RadianceOperator:
             raise TransportError(f"radiance is not finite in view {view}, pixel {pixel} (seed {seed}, stream {stream})")
         audit = budget.audit(float(mean.sum()) / irradiance * samples)
         audit.check(samples * len(self.pixels))
-        return Rendering(mean, standard_error, halves, samples, seed, stream, audit, medium, launches)
+        return Rendering(mean, standard_error, halves, samples, seed, stream, audit, medium, launches, self)
 
     @device_errors("the gradient")
     def gradient(self, rendering: Rendering, adjoint: np.ndarray, filling_limit: float | None = None) -> Any:

@@ -1,14 +1,18 @@
 """Every command on a disk of 200 kB: old files stay, nothing is half, and the message says which disk is full."""
 
+import importlib.util
 import os
 import shutil
 import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cloudtomo_cl.commands.cli import main
+from cloudtomo_cl.commands.cli import COMMANDS, main
 from cloudtomo_cl.files.extinction import read_extinction
+from cloudtomo_cl.files.phase import read_droplet_table
 
 SCENE = """
 [cloud]
@@ -35,7 +39,26 @@ samples = 64
 iterations = 2
 """
 CLOUD = "cloud --generate cumulus --shape 6 6 6 --spacing 0.1 0.1 0.1 --seed 1 --quiet --output"
+# Droplets that are small beside the wavelength: a second of work.
+MIE = "mie --wavelength 2000 --effective-radius 2 --effective-variance 0.05 --quiet --output"
 PERIODIC = '--set boundary.horizontal="periodic"'
+
+# A command, and what it replaces. Reconstructions and reports have tests of their own.
+WRITES = {
+    "cloud": (f"{CLOUD} {{disk}}/cloud.nc", ["cloud.nc"]),
+    "cloud --png": ("cloud cloud.nc --png {disk}/cloud.png --quiet", ["cloud.png"]),
+    "mie": (f"{MIE} {{disk}}/mie.nc", ["mie.nc"]),
+    "mie --png": (f"{MIE} {{elsewhere}}/mie.nc --png {{disk}}/mie.png", ["mie.png"]),
+    "render": ("render scene.toml --samples 8 --quiet --output {disk}/images.nc", ["images.nc"]),
+    "render --png": (
+        "render scene.toml --samples 8 --quiet --output {elsewhere}/images.nc --png {disk}/previews", ["previews"]
+    ),
+    "flux": ("flux scene.toml --photons 5000 --quiet --output {disk}/fluxes.nc " + PERIODIC, ["fluxes.nc"]),
+    "init render": ("init render --output {disk}/scene.toml --quiet", ["scene.toml"]),
+    "init reconstruct": ("init reconstruct --output {disk}/run.toml --quiet", ["run.toml"]),
+    "init example": ("init example --output {disk}/example --quiet", []),
+    "validate": ("validate --only slab --photons 1000 --quiet --output {disk}/table.csv", []),
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +72,8 @@ def inputs(tmp_path_factory):
         assert main("render scene.toml --samples 256 --quiet --output images.nc --png previews".split()) == 0
         assert main(f"flux scene.toml --photons 5000 --quiet --output fluxes.nc {PERIODIC}".split()) == 0
         assert main("cloud cloud.nc --png cloud.png --quiet".split()) == 0
+        if importlib.util.find_spec("miepython"):
+            assert main(f"{MIE} mie.nc --png mie.png".split()) == 0
         assert main("reconstruct run.toml --quiet --output run --no-report".split()) == 0
     return folder
 
@@ -84,25 +109,18 @@ def contents(folder):
 
 
 @pytest.mark.parametrize("left", [0, 4096, 8192])
-@pytest.mark.parametrize(
-    ("command", "old"),
-    [
-        (f"{CLOUD} {{disk}}/cloud.nc", ["cloud.nc"]),
-        ("cloud cloud.nc --png {disk}/cloud.png --quiet", ["cloud.png"]),
-        ("render scene.toml --samples 8 --quiet --output {disk}/images.nc", ["images.nc"]),
-        ("flux scene.toml --photons 5000 --quiet --output {disk}/fluxes.nc " + PERIODIC, ["fluxes.nc"]),
-        ("init render --output {disk}/scene.toml --quiet", ["scene.toml"]),
-        ("validate --only slab --photons 1000 --quiet --output {disk}/table.csv", []),
-    ],
-    ids=["cloud", "picture", "render", "flux", "init", "validate"],
-)
-def test_a_full_disk_keeps_the_old_file_and_is_named(inputs, disk, monkeypatch, capsys, command, old, left):
+@pytest.mark.parametrize(("command", "old"), WRITES.values(), ids=WRITES)
+def test_a_full_disk_keeps_the_old_file_and_is_named(inputs, disk, tmp_path, monkeypatch, capsys, command, old, left):
+    if command.startswith("mie"):
+        pytest.importorskip("miepython")
+        monkeypatch.setattr("cloudtomo_cl.clouds.mie.droplet_table", lambda *_: read_droplet_table(inputs / "mie.nc"))
     monkeypatch.chdir(inputs)
     for name in old:
-        shutil.copy(inputs / name, disk / name)
+        copy = shutil.copytree if (inputs / name).is_dir() else shutil.copy
+        copy(inputs / name, disk / name)
     fill(disk, left)
     before = contents(disk)
-    status = main([*command.format(disk=disk).split(), "--overwrite"])
+    status = main([*command.format(disk=disk, elsewhere=tmp_path).split(), "--overwrite"])
     message = capsys.readouterr().err
     if status == 0:
         # A small file still found its place.
@@ -110,6 +128,16 @@ def test_a_full_disk_keeps_the_old_file_and_is_named(inputs, disk, monkeypatch, 
         return
     assert status == 2 and f"the disk of {disk} is full" in message and "Traceback" not in message, message
     assert contents(disk) == before and not list(disk.glob(".*"))
+
+
+def test_every_command_that_writes_meets_a_full_disk_and_the_kill_script():
+    path = Path(__file__).parents[2] / "scripts" / "kill_and_resume.py"
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    script = sys.modules[path.stem] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    writing = set(COMMANDS) - {"devices"}
+    assert {name.split()[0] for name in WRITES} | {"reconstruct", "report"} == writing
+    assert {name.split()[0] for name in script.COMMANDS} == writing
 
 
 @pytest.mark.parametrize("left", [0, 20_000, 60_000])

@@ -33,7 +33,9 @@ def problem(device):
 def recover(problem, device, **options):
     scene, measurements, truth = problem
     return ct.reconstruct(
-        scene, measurements, **{"stages": STAGES, "mask": truth > 0, "device": device, "truth": truth, **options}
+        scene,
+        measurements,
+        **{"stages": STAGES, "mask": truth > 0, "device": device, "truth": truth, "uncertainty": 0, **options},
     )
 
 
@@ -44,6 +46,12 @@ def test_error_and_cost_fall(problem, device):
     assert ct.epsilon(result.extinction, truth) < 0.7 * ct.epsilon(start, truth)
     last = [record for record in result.history if record.stage == 1]
     assert last[-1].cost < 0.7 * last[0].cost
+
+
+def test_the_solver_says_how_many_iterations_automatic_stages_have(problem, device):
+    result = recover(problem, device, stages=None, solver=ct.GaussNewton(iterations=1))
+    counts = [sum(record.stage == stage for record in result.history) for stage in range(result.history[-1].stages)]
+    assert counts[-1] == 1
 
 
 def test_the_same_seed_gives_the_same_bits(problem, device):

@@ -127,7 +127,9 @@ STAGES = (ct.Stage(grid=(6, 5, 7), samples=16, iterations=3),)
 
 
 def recover(scene, measurements, device, **options):
-    return ct.reconstruct(scene, measurements, **{"stages": STAGES, "device": device, "seed": 2, **options})
+    return ct.reconstruct(
+        scene, measurements, **{"stages": STAGES, "device": device, "seed": 2, "uncertainty": 0, **options}
+    )
 
 
 def test_python_carves_as_problems_do(scene, measurements, device):

@@ -88,7 +88,7 @@ def test_a_reconstruction_is_done_again_bit_by_bit(outputs, tmp_path):
 def test_a_reconstruction_says_how_sure_it_is(outputs):
     with xr.open_dataset(outputs / "reconstruction.nc") as data:
         error = data.extinction_standard_error
-        assert error.units == "km-1" and error.dims == ("x", "y", "z")
+        assert error.units == "km-1" and error.dims == ("z", "y", "x")
         assert float(error.max()) > 0 and float(error.where(data.mask == 0).max()) == 0
 
 

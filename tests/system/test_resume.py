@@ -47,6 +47,7 @@ def recover(problem, device, **options):
             "device": device,
             "truth": truth,
             "seed": 2,
+            "uncertainty": 0,
             **options,
         },
     )

@@ -148,6 +148,20 @@ sys.exit(main())
     assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
 
 
+def test_nothing_is_imported_before_ctrl_c_is_taken_from_python():
+    """For Python's answer is a traceback."""
+    code = """
+import signal, sys
+sys.path.insert(0, sys.argv[1])
+before = set(sys.modules)
+from cloudtomo_cl.__main__ import main
+print(sorted(set(sys.modules) - before))
+"""
+    root = os.path.dirname(os.path.dirname(ct.__file__))
+    done = subprocess.run([sys.executable, "-I", "-S", "-c", code, root], capture_output=True, text=True, timeout=60)
+    assert done.stdout == "['__future__', 'cloudtomo_cl', 'cloudtomo_cl.__main__']\n", done.stderr
+
+
 def test_a_signal_that_comes_too_late_still_has_its_status():
     """So that a shell's loop over many commands ends too."""
     code = """

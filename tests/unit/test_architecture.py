@@ -12,8 +12,8 @@ import pytest
 TOP = Path(__file__).parents[2]
 # Lower rooms first: nothing imports from a higher one, also where it is for types alone.
 ROOMS = (
-    "errors", "renamed", "memory", "scene", "reference", "opencl", "files", "transport", "clouds", "inversion",
-    "validation", "settings", "report", "commands",
+    "errors", "renamed", "messages", "memory", "scene", "reference", "opencl", "files", "transport", "clouds",
+    "inversion", "validation", "settings", "report", "commands",
 )  # fmt: skip
 # Packages that only some files know.
 KNOWN_BY = {
@@ -176,6 +176,10 @@ def test_all_packages_and_kernels_are_installed():
     setup.read(TOP / "setup.cfg", encoding="utf-8")
     packages = set(setup["options"]["packages"].split())
     assert packages >= {module(path.parent) for path in PACKAGE if path.name == "__init__.py"}
-    patterns = re.split(r"[,\s]+", setup["options.package_data"]["cloudtomo_cl.kernels"].strip())
-    installed = {path for pattern in patterns for path in (TOP / "kernels").glob(pattern)}
-    assert not [name(path) for path in KERNELS if path not in installed]
+    report = [path for path in (TOP / "cloudtomo_cl" / "report").iterdir() if path.suffix not in (".py", "")]
+    assert len(report) >= 4
+    data = (("cloudtomo_cl.kernels", TOP / "kernels", KERNELS), ("cloudtomo_cl.report", report[0].parent, report))
+    for package, folder, needed in data:
+        patterns = re.split(r"[,\s]+", setup["options.package_data"][package].strip())
+        installed = {path for pattern in patterns for path in folder.glob(pattern)}
+        assert not [name(path) for path in needed if path not in installed]

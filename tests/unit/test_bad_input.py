@@ -99,9 +99,9 @@ def with_attribute(owner, name, value):
 
 
 CLOUDS = {
-    "nan": (with_values("extinction", (1, 2, 3), np.nan), "extinction at voxel (1, 2, 3) is nan: it must be finite"),
+    "nan": (with_values("extinction", (3, 2, 1), np.nan), "extinction at voxel (1, 2, 3) is nan: it must be finite"),
     "infinite": (with_values("extinction", (0, 0, 0), np.inf), "extinction at voxel (0, 0, 0) is inf"),
-    "negative": (with_values("extinction", (0, 0, 1), -1.0), "extinction at voxel (0, 0, 1) is -1.0"),
+    "negative": (with_values("extinction", (1, 0, 0), -1.0), "extinction at voxel (0, 0, 1) is -1.0"),
     "beyond any cloud": (with_values("extinction", (1, 1, 1), 1e9), "an optical depth of 1e+08 across 0.1 km (at most"),
     "all zero": (with_values("extinction", ..., 0.0), "zero in every voxel: there is no cloud"),
     "neither rising nor falling": (with_values("z", 1, 0.01), "z must rise or fall from each point to the next"),
@@ -110,7 +110,7 @@ CLOUDS = {
     "unit of extinction": (with_attribute("extinction", "units", "g m-3"), "extinction has units 'g m-3'"),
     "below the ground": (lambda data: data.drop_vars("z_bounds").assign_coords(z=data.z - 1), "z must be at least 0"),
     "no extinction": (lambda data: data.drop_vars("extinction"), "no variable extinction(x, y, z)"),
-    "another dimension": (lambda data: data.rename(x="lon"), "extinction has dimensions (lon, y, z)"),
+    "another dimension": (lambda data: data.rename(x="lon"), "extinction has dimensions (z, y, lon)"),
 }
 
 

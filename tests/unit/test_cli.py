@@ -213,7 +213,7 @@ def test_flux_prints_and_writes_fluxes_with_units(folder, capsys):
     with xr.open_dataset("fluxes.nc") as dataset:
         for name in ("reflected", "direct", "diffuse", "absorbed"):
             for variable in (dataset[name], dataset[f"{name}_standard_error"]):
-                assert variable.dims == ("x", "y") and variable.attrs["units"] == "W m-2"
+                assert variable.dims == ("y", "x") and variable.attrs["units"] == "W m-2"
         assert dataset.attrs["photons"] >= 2e4 and dataset.attrs["seed"] == 1
 
 
@@ -364,7 +364,7 @@ def test_cloud_reads_changes_plots_and_writes(folder, capsys):
     words = "cloud cloud.nc --crop z=.2: --pad x=2 --rotate 90 --coarsen 2 2 2 --tile 1 2 --output new.nc --png new.png"
     assert main(words.split()) == 0
     with xr.open_dataset("new.nc") as dataset:
-        assert dataset.extinction.shape == (3, 10, 2)
+        assert dataset.extinction.shape == (2, 10, 3)
         assert '"rotate": 90' in dataset.attrs["settings"] and dataset.attrs["source"].startswith("cloudtomo-cl")
     assert Path("new.png").stat().st_size > 10_000 and "voxels                  3 x 10 x 2" in capsys.readouterr().out
 

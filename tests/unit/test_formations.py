@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
+from cloudtomo_cl.errors import SettingsError
 from cloudtomo_cl.scene.formations import MISR_ANGLES, RingOfViews, StringOfScans, StringOfViews, fisheye_rays
 from cloudtomo_cl.scene.grid import Grid
 
@@ -33,7 +33,7 @@ def test_every_camera_of_a_ring_has_the_target_in_its_centre(view):
 
 
 def test_the_cameras_of_a_ring_are_above_their_target():
-    with pytest.raises(ValidationError, match="above the target"):
+    with pytest.raises(SettingsError, match="above the target"):
         RingOfViews(**{**RING, "height": 0.1})
 
 
@@ -104,7 +104,7 @@ def test_a_ring_may_be_lower_than_a_kilometre():
 
 
 def test_scans_are_not_flown_at_the_height_of_their_target():
-    with pytest.raises(ValidationError, match="above"):
+    with pytest.raises(SettingsError, match="above"):
         StringOfScans(TARGET, TARGET[2], 1.0, 5.0, (8, 8))
 
 

@@ -173,7 +173,7 @@ def test_what_is_impossible_is_named(miepython, arguments, message):
 
 def test_missing_library_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "miepython", None)
-    with pytest.raises(MissingPackageError, match=r"pip install 'cloudtomo-cl\[mie\]'"):
+    with pytest.raises(MissingPackageError, match=r"pip install 'miepython >= 3.0.2'"):
         mie.droplet_table(672.0, 5.0)
 
 

@@ -112,9 +112,12 @@ def test_rows_whose_coordinate_does_not_number_them_are_refused(numbers):
 
 def test_components_of_vectors_come_by_their_names():
     assert_same(read_measurements(dataset().isel(axis=[2, 0, 1])))
-    assert_same(read_measurements(dataset().drop_vars("axis")))
-    with pytest.raises(DataError, match="axis must name x, y and z, is east, north, up"):
-        read_measurements(dataset().assign_coords(axis=("axis", ["east", "north", "up"])))
+    assert_same(read_measurements(dataset().drop_vars("component")))
+    older = dataset().drop_vars("component").assign_coords(axis=("axis", ["x", "y", "z"]))
+    assert_same(read_measurements(older.isel(axis=[2, 0, 1])))
+    for name in ("component", "axis"):
+        with pytest.raises(DataError, match=f"{name} must name x, y and z, is east, north, up"):
+            read_measurements(dataset().drop_vars("component").assign_coords({name: ("axis", ["east", "north", "up"])}))
     turned = {"origin": (("ray", "axis"), [[2.0, 0.1, 0.2]]), "direction": (("ray", "axis"), [[-1.0, 0.0, 0.0]])}
     rays = xr.Dataset(turned, {"axis": ("axis", ["z", "x", "y"])})
     assert read_rays(rays) == RayView([(0.1, 0.2, 2.0)], [(0, 0, -1)], (1, 1))

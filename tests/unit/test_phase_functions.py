@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 from scipy.integrate import quad
 
+from cloudtomo_cl.errors import SettingsError
 from cloudtomo_cl.scene.phase import (
     DoubleHenyeyGreenstein,
     HenyeyGreenstein,
@@ -124,7 +125,7 @@ def test_normalised_takes_any_factor():
     ],
 )
 def test_table_that_is_none_is_named(arguments, message):
-    with pytest.raises(ValidationError, match=message):
+    with pytest.raises(SettingsError, match=message):
         TabulatedPhaseFunction(*arguments)
 
 

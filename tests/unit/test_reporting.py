@@ -1,5 +1,6 @@
 """A report shows only what belongs to its result."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,15 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+def test_a_recovery_goes_to_viewers_with_what_is_known(folder, capsys):
+    assert main("reconstruct run.toml --quiet --no-report --output run".split()) == 0
+    assert main("report run --vti run.vti".split()) == 0
+    head = (folder / "run.vti").read_bytes().partition(b"<AppendedData")[0].decode()
+    names = re.findall(r'Name="(\w+)".*?UNITS_LABEL" location="vtkDataArray">([^<]*)<', head)
+    assert names[:2] == [("extinction", "km-1"), ("true_extinction", "km-1")] and names[-1] == ("mask", "1")
+    assert main("report run --vti run.vti".split()) == 2 and "run.vti: exists already" in capsys.readouterr().err
+
+
 def test_a_report_has_images_of_the_cloud_it_shows(folder, capsys):
     """After a resume that was interrupted, modelled.nc is of an earlier iteration."""
     assert main("reconstruct run.toml --quiet --output run".split()) == 0
@@ -62,7 +72,7 @@ def test_a_report_has_images_of_the_cloud_it_shows(folder, capsys):
     assert "modelled mean" not in Path("run/report.html").read_text()
     assert main(["report", "run"]) == 0
     assert "rendering the images of the recovered cloud" in capsys.readouterr().out
-    assert np.array_equal(read_extinction("run/modelled.nc")[1], dataset.extinction)
+    assert np.array_equal(read_extinction("run/modelled.nc")[1], dataset.extinction.transpose("x", "y", "z"))
     assert "modelled mean" in Path("run/report.html").read_text()
 
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
+from cloudtomo_cl.errors import SettingsError
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import Air, Boundary, Scene, Sun
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView
@@ -14,18 +14,18 @@ PERSPECTIVE = {"position": (0.0, 0.0, 2.0), "target": (0.5, 0.5, 0.0), "field_of
 @pytest.mark.parametrize("number", [np.nan, np.inf])
 @pytest.mark.parametrize("name", ["position", "target", "up"])
 def test_coordinates_are_finite(name, number):
-    with pytest.raises(ValidationError, match="finite"):
+    with pytest.raises(SettingsError, match="finite"):
         PerspectiveView(**{**PERSPECTIVE, name: (0.0, number, 1.0)})
 
 
 def test_an_azimuth_is_finite():
-    with pytest.raises(ValidationError, match="finite"):
+    with pytest.raises(SettingsError, match="finite"):
         OrthographicView(zenith=10.0, azimuth=np.nan, width=1.0, pixels=(4, 4))
 
 
 @pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, 0.0, 0.0)])
 def test_up_is_not_along_the_line_of_sight(up):
-    with pytest.raises(ValidationError, match="up is parallel"):
+    with pytest.raises(SettingsError, match="up is parallel"):
         OrthographicView(zenith=0.0, width=1.0, pixels=(4, 4), up=up)
 
 
@@ -36,7 +36,7 @@ def test_a_line_of_sight_close_to_vertical_has_north_up():
 
 
 def test_no_ray_starts_below_the_ground():
-    with pytest.raises(ValidationError, match="below the ground"):
+    with pytest.raises(SettingsError, match="below the ground"):
         OrthographicView(position=(-1, 0.4, 0.1), target=(0.4, 0.4, 0.6), width=1.2, pixels=(4, 4))
 
 
@@ -65,13 +65,13 @@ def test_a_vertical_line_of_sight_needs_no_up():
 )
 def test_an_impossible_push_broom_view_is_refused(change, message):
     fields = {"start": (0.0, 0.0, 2.0), "end": (0.0, 1.0, 2.0), "field_of_view": 30.0, "pixels": (4, 4)}
-    with pytest.raises(ValidationError, match=message):
+    with pytest.raises(SettingsError, match=message):
         PushBroomView(**{**fields, **change})
 
 
 @pytest.mark.parametrize(("zenith", "message"), [(90.0, "horizontal ray"), (180.5, "less than or equal to 180")])
 def test_an_impossible_radiometer_is_refused(zenith, message):
-    with pytest.raises(ValidationError, match=message):
+    with pytest.raises(SettingsError, match=message):
         RadiometerView(zenith=zenith, pixels=(4, 4))
 
 
@@ -89,7 +89,7 @@ def test_an_impossible_radiometer_is_refused(zenith, message):
     ],
 )
 def test_impossible_rays_are_refused(fields, message):
-    with pytest.raises(ValidationError, match=message):
+    with pytest.raises(SettingsError, match=message):
         RayView(**{"origins": [(0, 0, 1), (1, 1, 1)], "directions": [(0, 0, 1), (0, 1, 0)], **fields})
 
 

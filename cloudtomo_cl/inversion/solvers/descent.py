@@ -14,6 +14,7 @@ from cloudtomo_cl.inversion.objective import AveragedImage
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.solvers.blas import with_one_blas_thread
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
+from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.device import Device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import Count
@@ -50,6 +51,7 @@ class DescentState:
     table: RadianceTable | None
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class _Descent:
     """What both descents have.
@@ -188,6 +190,7 @@ class _Descent:
         return ()
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Adam(_Descent):
     """Descends by Adam (Kingma and Ba 2015).
@@ -211,6 +214,7 @@ class Adam(_Descent):
         return (*moments, *betas, *corrections)
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class SGD(_Descent):
     """Descends by plain steps against the gradient."""

@@ -22,6 +22,7 @@ from cloudtomo_cl.inversion.solvers.parametrisation import Parametrisation
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
 from cloudtomo_cl.inversion.solvers.state import not_saved, of_any_length
 from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, standard_errors
+from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import Count
 from cloudtomo_cl.scene.scene import NotNegative, Positive
@@ -72,6 +73,7 @@ class GaussNewtonState:
         return noise_of(self.variance, problem.weights) + self.lag
 
 
+@answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class GaussNewton:
     """Renders at an extinction, takes the derivatives of all pixels there, and minimises the model they give.

@@ -2,14 +2,58 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
+import functools
 import json
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
+
+from cloudtomo_cl.errors import InvalidSettingError
+
+_Class = TypeVar("_Class", bound=type)
 
 # More mistakes than this at once are one: of the whole file.
 _MOST_MISTAKES = 50
+
+
+def answering(kind: _Class) -> _Class:
+    """A decorator of pydantic dataclasses: in Python, too, a wrong argument is answered as the same key in a file is.
+
+    InvalidSettingError, which is a ValueError, takes the place of pydantic's. Within tables, pydantic's own stay.
+    """
+    original = kind.__init__  # type: ignore[misc]
+
+    @functools.wraps(original)
+    def init(self: Any, *arguments: Any, **keywords: Any) -> None:
+        try:
+            original(self, *arguments, **keywords)
+        except ValidationError as error:
+            raise InvalidSettingError(_of_class(kind, arguments, keywords, error), error.errors()) from None
+
+    kind.__init__ = init  # type: ignore[misc]
+    return kind
+
+
+def _of_class(kind: type, arguments: tuple[Any, ...], keywords: dict[str, Any], error: ValidationError) -> str:
+    """A line for each argument that is wrong."""
+    names = [field.name for field in dataclasses.fields(kind)]
+    if len(arguments) > len(names):
+        return f"{kind.__name__}: takes {len(names)} arguments ({', '.join(names)}), {len(arguments)} are given"
+    given = {**dict(zip(names, arguments)), **keywords}
+    errors: list[Any] = [{**entry, "loc": _named(entry["loc"], names)} for entry in error.errors()]
+    lines = _lines(errors, given, TypeAdapter(kind).json_schema())
+    if not lines:  # of the whole
+        lines = [f"is wrong: {entry.get('ctx', {}).get('error', entry['msg'])}" for entry in errors]
+    return error_text(kind.__name__, lines)
+
+
+def _named(location: tuple[int | str, ...], names: list[str]) -> tuple[int | str, ...]:
+    """With the name of an argument that was given by its place."""
+    if location and isinstance(location[0], int):
+        return (names[location[0]], *location[1:])
+    return location
 
 
 def error_text(file: str, lines: list[str]) -> str:
@@ -18,8 +62,12 @@ def error_text(file: str, lines: list[str]) -> str:
 
 def lines_of(error: ValidationError, tables: dict[str, Any], schema: dict[str, Any]) -> list[str]:
     """One line for each key that is wrong: its name, what is wrong, what is allowed."""
+    return _lines(error.errors(), tables, schema)
+
+
+def _lines(errors: list[Any], tables: dict[str, Any], schema: dict[str, Any]) -> list[str]:
     wrong: dict[str, list[Any]] = {}
-    for entry in error.errors()[:_MOST_MISTAKES]:
+    for entry in errors[:_MOST_MISTAKES]:
         wrong.setdefault(_dotted(entry["loc"], tables, entry["type"]), []).append(entry)
     lines = []
     for key, entries in wrong.items():
@@ -29,7 +77,7 @@ def lines_of(error: ValidationError, tables: dict[str, Any], schema: dict[str, A
         if deeper and (len(meant) < len(entries) or entries[0]["type"] == "too_short"):
             continue
         messages = [_message(entry, key, schema) for entry in meant or entries]
-        lines.append(f"{key} {' or '.join(dict.fromkeys(messages))}")
+        lines.append(f"{key} {' or '.join(dict.fromkeys(messages))}".lstrip())
     return lines
 
 
