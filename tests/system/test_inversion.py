@@ -116,13 +116,16 @@ def test_images_of_different_sizes_recover_the_cloud(problem, device):
 
 
 def test_known_calibration_errors_do_less_harm(problem, device):
-    """Gains of 1.4 and 0.7 in two of four views, taken for exact and for uncertain by 30 %."""
+    """Gains of 1.4 and 0.7 in two of four views, taken for exact and for uncertain by 30 %.
+
+    With smoothness: patches do so well without the gains that little harm is left.
+    """
     scene, measurements, truth = problem
     images = tuple(image * gain for image, gain in zip(measurements.images, (1.0, 1.4, 0.7, 1.0)))
     stages = (ct.Stage(grid=(8, 8, 8), iterations=5),)
     errors = [
         ct.epsilon(recover((scene, replace(measurements, images=images, calibration_errors=known), truth), device,
-                           stages=stages, seed=2).extinction, truth)
+                           stages=stages, prior=ct.Prior(), seed=2).extinction, truth)
         for known in ((), (0.3,) * 4)
     ]  # fmt: skip
     assert errors[1] < 0.9 * errors[0]
@@ -216,7 +219,8 @@ def test_lists_of_rays_take_part_in_every_stage(problem, device):
     operator = ct.RadianceOperator(scene, [view], device)
     image = operator.images(operator.render(truth, 512, seed=1).mean)[0]
     rays = ct.Measurements((view,), (image,), (np.zeros_like(image),))
-    result = recover((scene, rays, truth), device, seed=2)
+    # One view of so few voxels leaves more open than patches know.
+    result = recover((scene, rays, truth), device, seed=2, prior=ct.Prior())
     start = np.where(truth > 0, 2.0, 0.0)
     assert ct.epsilon(result.extinction, truth) < 0.9 * ct.epsilon(start, truth)
 
