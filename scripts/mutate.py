@@ -36,6 +36,14 @@ FILES = ("cloudtomo_cl/inversion/**/*.py", "cloudtomo_cl/transport/*.py", "cloud
 UNIT, KERNELS, SYSTEM = "tests/unit/test_", "tests/kernels/test_", "tests/system/test_"
 # The tests of a file, quick ones first; the first pattern that fits. A star stands for whatever is there.
 TESTS: dict[str, tuple[str, ...]] = {
+    "*/messages.py": (UNIT + "answers_in_python", UNIT + "config"),
+    "*/files/vti.py": (UNIT + "viewers",),
+    "*/report/directions.py": (UNIT + "volume",),
+    "*/report/volume.py": (UNIT + "volume",),
+    "*/commands/example.py": (UNIT + "commands_for_people",),
+    "*/commands/notebook.py": (UNIT + "notebook_displays",),
+    "*/scene/cards.py": (UNIT + "notebook_displays",),
+    "*/scene/poses.py": (UNIT + "poses",),
     "*/scene/droplets.py": (UNIT + "droplets", UNIT + "phase_files", UNIT + "mie"),
     "*/scene/formations.py": (UNIT + "formations", UNIT + "config"),
     "*/scene/grid.py": (UNIT + "grid", UNIT + "clouds", UNIT + "carve", UNIT + "files", UNIT + "measurements"),
