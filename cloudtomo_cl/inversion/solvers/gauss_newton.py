@@ -91,8 +91,8 @@ class GaussNewton:
     damping : of the first steps, in shares of the data term's own curvature; it halves from step to step, down to
         a tenth
     inner_iterations : of the minimisation of the quadratic model
-    linear_depth : optical depth of a voxel beyond which its unknown is rather the logarithm of the extinction
-        (parametrisation.py); infinite: never
+    linear_depth : optical depth of a voxel beyond which its unknown is rather the logarithm of the extinction; by
+        default never (docs/decisions/logarithm.md)
     """
 
     type: Literal["gauss-newton"] = "gauss-newton"
@@ -101,7 +101,7 @@ class GaussNewton:
     image_samples: Annotated[int, Field(ge=0)] = 5
     damping: NotNegative = 0.1
     inner_iterations: Count = 40
-    linear_depth: Positive = 0.5
+    linear_depth: Positive | None = None
 
     def stage_limits(self, last: bool) -> tuple[int, int]:
         """Iterations and window of an automatic stage."""
@@ -170,7 +170,7 @@ class GaussNewton:
         check_gradient(curvature, problem, stream)
         model = _Model(
             jacobian,
-            Parametrisation(self.linear_depth / float(np.mean(problem.grid.spacing))),
+            Parametrisation.beyond(self.linear_depth, float(np.mean(problem.grid.spacing))),
             lambda residual: weights * problem.active.gains(residual, state.image),
             state.image - problem.radiance,
             state.extinction,

@@ -1,9 +1,4 @@
-"""The unknowns that Gauss-Newton steps in: like the extinction where it is small, like its logarithm where it is large.
-
-Images hardly change any more with what is optically deep: of a cloud of which a part is missing, a model that is linear
-in the extinction is wrong after a few per cent of the way, and its steps stay small. In the logarithm it holds for much
-longer.
-"""
+"""The unknowns that Gauss-Newton steps in: the extinction, or what is like its logarithm where it is large."""
 
 from __future__ import annotations
 
@@ -22,6 +17,11 @@ class Parametrisation:
     """
 
     scale: float
+
+    @classmethod
+    def beyond(cls, depth: float | None, edge: float) -> Parametrisation:
+        """Like the logarithm beyond an optical depth of voxels with this edge, km; None: nowhere."""
+        return cls(np.inf if depth is None else depth / edge)
 
     def of(self, extinction: np.ndarray) -> np.ndarray:
         """u, km^-1."""
