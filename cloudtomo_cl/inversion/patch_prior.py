@@ -14,7 +14,7 @@ from cloudtomo_cl.inversion.patches import Patches
 _FIRST_NOISE, _NOISE_SHARE = 0.2, 0.7
 # Share of the prior's pull on a cloud's mass that a step takes back, and the extinction, in units of s, at which a
 # voxel takes half of its part in that (docs/decisions/patch-prior.md).
-_RETURNED, _HALF_PRESENT = 0.6, 0.1
+_RETURNED, _HALF_PRESENT = 0.3, 0.1
 # Of a cloud of so many voxels a step's patches count half: those that were learnt from are of more.
 _FEW_VOXELS = 200.0
 
