@@ -70,7 +70,7 @@ RUN: dict[str, Any] = {
     "grid": {"shape": [4, 4, 4], "spacing": [0.1, 0.1, 0.1], "origin": [0.0, 0.0, 0.0]},
     "run": {"seed": 1, "time_limit": 0.05, "checkpoint_interval": 1.0},
     "stage": [{"grid": [2, 2, 2], "pixels": 0.5, "samples": 4, "iterations": 1, "window": 2, "prior_weight": 1.0}],
-    "prior": {"smoothness": 1e-4, "monotonicity": 0.1, "c1": 0.2, "c2": 0.05, "threshold": 0.01},
+    "prior": {"type": "smoothness", "smoothness": 1e-4, "monotonicity": 0.1, "c1": 0.2, "c2": 0.05, "threshold": 0.01},
     "solver": {
         "type": "adam",
         "step_size": 0.1,

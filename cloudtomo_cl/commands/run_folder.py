@@ -239,7 +239,7 @@ class RunFolder:
                     name = "extinction_standard_error"
                     variable = dataset.createVariable(name, "f4", WRITTEN_AXES, zlib=True)
                     variable.units = "km-1"
-                    variable.long_name = "standard error of extinction, from noise and what smoothness leaves open"
+                    variable.long_name = "standard error of extinction, from noise and what the prior leaves open"
                     variable[:] = standard_error.T
                     dataset["extinction"].ancillary_variables = name
 

@@ -89,7 +89,7 @@ def test_a_reconstruction_says_how_sure_it_is(outputs):
     with xr.open_dataset(outputs / "reconstruction.nc") as data:
         error = data.extinction_standard_error
         assert error.units == "km-1" and error.dims == ("z", "y", "x")
-        assert float(error.max()) > 0 and float(error.where(data.mask == 0).max()) == 0
+        assert float(error.max()) > 0 and float(error.where(data.mask == 0, 0.0).max()) == 0
 
 
 def test_a_scene_can_be_changed_on_the_way(outputs, tmp_path):
