@@ -16,6 +16,8 @@ GRID = ct.Grid(shape=(2, 2, 2), spacing=(0.2, 0.2, 0.2))
 SCENE = ct.Scene(grid=GRID, sun=ct.Sun(zenith=30.0))
 VIEWS = (ct.OrthographicView(zenith=0.0, width=0.6, pixels=(3, 3)),)
 STAGES = (ct.Stage(grid=(2, 2, 2), samples=4, iterations=3, window=1000),)
+# On the device, and with a minimum found in few products: hundreds of runs are made.
+QUICK = {"prior": ct.Prior(), "solver": ct.GaussNewton(inner_iterations=3), "uncertainty": 0}
 CODES = {"MEM_OBJECT_ALLOCATION_FAILURE": cl.MemoryError, "OUT_OF_RESOURCES": cl.RuntimeError}
 
 
@@ -74,7 +76,7 @@ def opencl_error(code):
 def test_the_call_that_fails_does_not_matter(own_device, measurements, monkeypatch, tmp_path):
     """One call after the other fails, of all that a reconstruction makes; from the second iteration on there is
     a checkpoint, and the run goes on from it with the same bits."""
-    whole = ct.reconstruct(SCENE, measurements, STAGES, device=own_device, uncertainty=0)
+    whole = ct.reconstruct(SCENE, measurements, STAGES, device=own_device, **QUICK)
     path = tmp_path / "checkpoint.npz"
     at, places = 1, set()
     while True:
@@ -87,16 +89,16 @@ def test_the_call_that_fails_does_not_matter(own_device, measurements, monkeypat
                     measurements,
                     STAGES,
                     device=own_device,
-                    uncertainty=0,
                     checkpoint=path,
                     checkpoint_interval=0,
+                    **QUICK,
                 )
                 break
             except DeviceError as error:
                 assert "not enough memory" in str(error) and "cloudtomo devices" in str(error)
         places.add(failing.failed)
         if path.exists():
-            resumed = ct.reconstruct(SCENE, measurements, STAGES, device=own_device, uncertainty=0, resume=path)
+            resumed = ct.reconstruct(SCENE, measurements, STAGES, device=own_device, resume=path, **QUICK)
             np.testing.assert_array_equal(resumed.extinction, whole.extinction)
         # All of the first calls, then every seventh.
         at += 1 if at < 40 else 7
