@@ -77,15 +77,6 @@ class Mixture:
                 found[part][better] = component
         return found
 
-    def denoised(self, patches: np.ndarray, noise: float) -> np.ndarray:
-        """The posterior mean of patches with white noise, by each one's likeliest component: the Wiener filter.
-
-        patches : float32, shape (patches, values); noise : standard deviation
-        """
-        precisions, components = self.precisions(noise), self.likeliest(patches, noise)
-        away = patches - self.means[components]
-        return patches - noise**2 * np.einsum("ijk,ik->ij", precisions[components], away)
-
 
 def _parts(count: int) -> Iterator[slice]:
     for first in range(0, count, AT_ONCE):

@@ -172,7 +172,9 @@ def test_denoising_with_one_gaussian_is_the_posterior_mean(random):
     patches = (0.9 + 0.5 * random.random((20, 27))).astype(np.float32)  # far from clear
     gain = mixture.covariances[1] @ np.linalg.inv(mixture.covariances[1] + noise**2 * np.eye(27))
     expected = mixture.means[1] + (patches - mixture.means[1]) @ gain.T
-    np.testing.assert_allclose(mixture.denoised(patches, noise), expected, atol=1e-5)
+    assert (mixture.likeliest(patches, noise) == 1).all()
+    found = patches - noise**2 * (patches - mixture.means[1]) @ mixture.precisions(noise)[1]
+    np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 def test_the_likeliest_component_is_that_of_the_largest_density(mixture, random):

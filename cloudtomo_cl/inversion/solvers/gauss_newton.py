@@ -18,7 +18,6 @@ from cloudtomo_cl.inversion.objective import cost_of_independent, noise_of
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
 from cloudtomo_cl.inversion.solvers.blas import with_one_blas_thread
-from cloudtomo_cl.inversion.solvers.parametrisation import Parametrisation
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
 from cloudtomo_cl.inversion.solvers.state import not_saved, of_any_length
 from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, standard_errors
@@ -91,8 +90,6 @@ class GaussNewton:
     damping : of the first steps, in shares of the data term's own curvature; it halves from step to step, down to
         a tenth
     inner_iterations : of the minimisation of the quadratic model
-    linear_depth : optical depth of a voxel beyond which its unknown is rather the logarithm of the extinction; by
-        default never (docs/decisions/logarithm.md)
     """
 
     type: Literal["gauss-newton"] = "gauss-newton"
@@ -101,7 +98,6 @@ class GaussNewton:
     image_samples: Annotated[int, Field(ge=0)] = 5
     damping: NotNegative = 0.1
     inner_iterations: Count = 40
-    linear_depth: Positive | None = None
 
     def stage_limits(self, last: bool) -> tuple[int, int]:
         """Iterations and window of an automatic stage."""
@@ -170,7 +166,6 @@ class GaussNewton:
         check_gradient(curvature, problem, stream)
         model = _Model(
             jacobian,
-            Parametrisation.beyond(self.linear_depth, float(np.mean(problem.grid.spacing))),
             lambda residual: weights * problem.active.gains(residual, state.image),
             state.image - problem.radiance,
             state.extinction,
@@ -187,7 +182,7 @@ class GaussNewton:
                 break
             prior = problem.prior.frozen(extinction, state.iterations - 1)
             extinction = model.minimised(extinction, prior, self.inner_iterations)
-        predicted = jacobian @ model.change(extinction)
+        predicted = jacobian @ (extinction - state.extinction)
         lag = state.lag + noise_of((_TANGENT_ERROR * predicted) ** 2, weights)
         return replace(state, extinction=extinction, image=state.image + predicted, lag=lag)
 
@@ -229,12 +224,11 @@ class GaussNewton:
 
 @plain_dataclass(frozen=True, eq=False)
 class _Model:
-    """The model of the data term, damped, near an extinction: quadratic in the unknown that stands for it.
+    """The quadratic model of the data term, damped, near an extinction.
 
     Attributes
     ----------
     jacobian : shape (pixels, voxels)
-    unknown : in which it is quadratic
     force : from residuals, the derivative of the data term with respect to the modelled image, shape (pixels,)
     residual : modelled minus measured image at `start`, shape (pixels,)
     start : km^-1, shape (voxels,)
@@ -244,7 +238,6 @@ class _Model:
     """
 
     jacobian: Jacobian
-    unknown: Parametrisation
     force: Callable[[np.ndarray], np.ndarray]
     residual: np.ndarray
     start: np.ndarray
@@ -256,30 +249,24 @@ class _Model:
         """The extinction that makes model and prior least, found from another, km^-1, shape (voxels,)."""
         from scipy.optimize import minimize
 
-        unknown, slope = self.unknown, self.unknown.slope(self.start)
         stiff = self.curvature * (1 + self.damping) + prior.curvature(extinction, self.units)
-        scale = 1 / (slope * np.sqrt(stiff + LEAST_CURVATURE * self.curvature.mean()))
+        scale = 1 / np.sqrt(stiff + LEAST_CURVATURE * self.curvature.mean())
 
         def value_and_gradient(scaled: np.ndarray) -> tuple[float, np.ndarray]:
-            values = unknown.extinction(scaled * scale)
-            change = self.change(values)
+            values = scaled * scale
+            change = values - self.start
             misfit = self.residual + self.jacobian @ change
             force = self.force(misfit)
             of_prior, prior_gradient = prior.value_and_gradient(values, self.units)
             held = self.damping * self.curvature * change
-            gradient = slope * (self.jacobian.rmatvec(force) + held) + unknown.slope(values) * prior_gradient
+            gradient = self.jacobian.rmatvec(force) + held + prior_gradient
             return 0.5 * float(misfit @ force + held @ change) + of_prior, gradient * scale
 
         options = {"maxiter": iterations, "maxcor": _CORRECTIONS}
         bounds = [(0.0, None)] * len(extinction)
-        begin = unknown.of(extinction) / scale
+        begin = extinction / scale
         found = minimize(value_and_gradient, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-        return unknown.extinction(np.maximum(found.x * scale, 0.0))
-
-    def change(self, extinction: np.ndarray) -> np.ndarray:
-        """What the derivatives are multiplied with, from the start to an extinction, km^-1, shape (voxels,)."""
-        unknown = self.unknown
-        return unknown.slope(self.start) * (unknown.of(extinction) - unknown.of(self.start))
+        return np.maximum(found.x * scale, 0.0)
 
 
 def tail_rate(iteration: int) -> float:
