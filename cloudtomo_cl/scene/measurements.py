@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -12,12 +12,19 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.renamed import renamed_attributes
 from cloudtomo_cl.scene.arrays import filled
 from cloudtomo_cl.scene.cards import card
-from cloudtomo_cl.scene.grid import resample
+from cloudtomo_cl.scene.grid import Grid, resample
 from cloudtomo_cl.scene.pixel_errors import pooled_standard_errors
+from cloudtomo_cl.scene.pointing import motion_errors
 from cloudtomo_cl.scene.sensors import RayView, View
 
 # Share of a larger pixel that must not be bad: half, up to rounding.
 _LEAST_VALID = 0.5 - 1e-9
+# Standard errors of views: below what, and what is allowed, in words. Beyond, a camera is not known at all.
+_ERRORS_OF_VIEWS = {
+    "calibration_errors": (1.0, "at least 0, below 1"),
+    "pointing_errors": (10.0, "at least 0, below 10 degrees"),
+    "position_errors": (float("inf"), "at least 0 km, and finite"),
+}
 
 
 class _Renders(Protocol):
@@ -40,12 +47,17 @@ class Measurements:
     standard_errors : of the radiances, same unit and shapes; zero where unknown; of no meaning in invalid pixels
     calibration_errors : standard errors of the views' gains, which are 1, for instance 0.02; none: all exact.
         They are no part of `standard_errors`, for they are common to all pixels of a view
+    pointing_errors : standard errors of the directions that the cameras look in and of the images' rotation, degrees;
+        none: all exact
+    position_errors : standard errors of the cameras' places, or of where orthographic images lie, km; none: all exact
     """
 
     views: tuple[View, ...]
     images: tuple[np.ndarray, ...]
     standard_errors: tuple[np.ndarray, ...]
     calibration_errors: tuple[float, ...] = ()
+    pointing_errors: tuple[float, ...] = ()
+    position_errors: tuple[float, ...] = ()
 
     @classmethod
     def rendered(cls, operator: _Renders, rendering: Any) -> Measurements:
@@ -82,13 +94,14 @@ class Measurements:
                     raise DataError(f"measurements: {name} of {where}{hint}")
                 if bad.all():
                     raise DataError(f"measurements: all pixels of view {index} are bad: leave the view out")
-        if not self.calibration_errors:
-            object.__setattr__(self, "calibration_errors", (0.0,) * len(self.views))
-        if len(self.calibration_errors) != len(self.views):
-            raise DataError(f"measurements: {len(self.calibration_errors)} calibration_errors, {len(self.views)} views")
-        for index, value in enumerate(self.calibration_errors):
-            if not 0 <= value < 1:
-                raise DataError(f"measurements: calibration_errors of view {index} is {value}: at least 0, below 1")
+        for name, (below, allowed) in _ERRORS_OF_VIEWS.items():
+            values = getattr(self, name) or (0.0,) * len(self.views)
+            object.__setattr__(self, name, tuple(values))
+            if len(values) != len(self.views):
+                raise DataError(f"measurements: {len(values)} {name}, {len(self.views)} views")
+            for index, value in enumerate(values):
+                if not 0 <= value < below:
+                    raise DataError(f"measurements: {name} of view {index} is {value}: {allowed}")
         for index, error in enumerate(self.standard_errors):
             if (error < 0).any():
                 raise DataError(f"measurements: standard_errors of view {index} are negative: they must be at least 0")
@@ -118,6 +131,21 @@ class Measurements:
         """How many pixels of all images are bad."""
         return sum(int(np.isnan(image).sum()) for image in self.images)
 
+    def motion_errors(self, grid: Grid) -> np.ndarray:
+        """Standard errors of the views' motions (`scene.pointing`), shape (views, 3).
+
+        Raises
+        ------
+        DataError : a view with such an error is neither a camera nor orthographic
+        """
+        errors = []
+        for index, (view, *given) in enumerate(zip(self.views, self.pointing_errors, self.position_errors)):
+            try:
+                errors.append(motion_errors(view, grid, *given))
+            except DataError as error:
+                raise DataError(f"measurements: view {index}: {error}") from None
+        return np.array(errors)
+
     def resampled(self, pixels: Sequence[tuple[int, int]]) -> Measurements:
         """The same images averaged over larger pixels, (width, height) for each view.
 
@@ -144,7 +172,7 @@ class Measurements:
             share = width * height / image.size
             variance = resample(np.where(valid, error**2, 0.0), (height, width)) / whole**2
             errors.append(np.sqrt(variance * min(share, 1.0)))
-        return Measurements(tuple(views), tuple(images), tuple(errors), self.calibration_errors)
+        return replace(self, views=tuple(views), images=tuple(images), standard_errors=tuple(errors))
 
     def at_share(self, share: float) -> Measurements:
         """The images with `share` of their width and height, but at least 8 pixels or all there are.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -92,4 +93,4 @@ class Noise:
             images.append(np.where(np.isnan(image) | saturated, np.nan, read * unit))
             errors.append(np.sqrt(error**2 + unit**2 * (light + self.read_noise**2 + step**2 / 12)))
         gains = tuple(float(np.hypot(before, self.calibration_error)) for before in measurements.calibration_errors)
-        return Measurements(measurements.views, tuple(images), tuple(errors), gains)
+        return replace(measurements, images=tuple(images), standard_errors=tuple(errors), calibration_errors=gains)
