@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 
 from cloudtomo_cl.scene.pointing import MOTIONS
@@ -41,7 +43,7 @@ class Calibration:
         motion_errors: np.ndarray | None = None,
     ) -> None:
         gains = np.asarray(gain_errors, float)
-        self._weights, self._view = weights, view
+        self._weights, self._view, self._unit = weights, view, unit
         self.motion_errors = np.zeros((len(gains), MOTIONS)) if motion_errors is None else motion_errors
         self._motions = np.zeros((len(weights), 0))
         self.has_motions = motions is not None and bool(np.any(self.motion_errors > 0))
@@ -54,6 +56,12 @@ class Calibration:
         # Exact views fix the scale by themselves.
         held = self._held[:, 0]
         self._share = held / held.max() if np.all(gains > 0) else None
+
+    def in_unit(self, unit: float) -> Calibration:
+        """The same with another unit: n of a step whose residuals are larger than noise explains."""
+        other = copy.copy(self)
+        other._held = self._held * (unit / self._unit)
+        return other
 
     def __call__(self, residual: np.ndarray, modelled: np.ndarray) -> np.ndarray:
         """Residuals without what gains and motions explain.

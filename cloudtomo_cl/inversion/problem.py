@@ -49,6 +49,7 @@ class Problem:
     prior : for these voxels
     prior_weight : factor of the prior
     samples : paths per pixel that derivatives are made of; by default the solver's choice
+    motions : of the views (`scene.pointing`), shape (views, 3), that solvers which find them start from; none: 0
     """
 
     voxels: Voxels
@@ -57,6 +58,7 @@ class Problem:
     prior: BoundPrior
     prior_weight: float = 1.0
     samples: int | None = None
+    motions: np.ndarray | None = None
 
     @classmethod
     def of(

@@ -116,9 +116,11 @@ class GaussNewton:
         start = np.array(extinction, float)
         pixels, voxels = len(problem.active), len(start)
         nothing, none = np.zeros(pixels), np.zeros((0, voxels), np.float32)
-        still = np.zeros_like(problem.active.calibration.motion_errors)
-        streams, turned = np.zeros(0, np.int64), np.zeros((0, *still.shape))
-        return GaussNewtonState(start, start, nothing, nothing, 0.0, 0, still, streams, none, turned)
+        motions = np.zeros_like(problem.active.calibration.motion_errors)
+        if problem.motions is not None:
+            motions = problem.motions
+        streams, turned = np.zeros(0, np.int64), np.zeros((0, *motions.shape))
+        return GaussNewtonState(start, start, nothing, nothing, 0.0, 0, motions, streams, none, turned)
 
     @with_one_blas_thread
     def step(
@@ -172,11 +174,13 @@ class GaussNewton:
         jacobian, weights = state.derivatives.jacobian, problem.weights
         curvature = jacobian.curvature(weights)
         check_gradient(curvature, problem, stream)
-        calibration = problem.active.calibration
+        misfit = _misfit(problem, state)
+        # While the cloud is wrong, gains and motions of the views must not explain what it does not.
+        calibration = problem.active.calibration.in_unit(max(problem.active.unit, float(np.mean(weights * misfit**2))))
         model = _Model(
             jacobian,
             lambda residual: weights * calibration(residual, state.image),
-            _misfit(problem, state),
+            misfit,
             state.extinction,
             curvature,
             self.damping * max(0.5 ** (state.iterations - 1), 0.1),
