@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,6 +14,7 @@ from cloudtomo_cl.scene.arrays import filled
 from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.grid import resample
 from cloudtomo_cl.scene.pixel_errors import pooled_standard_errors
+from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.sensors import RayView, View
 
 # Share of a larger pixel that must not be bad: half, up to rounding.
@@ -23,6 +24,7 @@ _LEAST_VALID = 0.5 - 1e-9
 class _Renders(Protocol):
     """What makes images of a rendering: a `RadianceOperator`, which lies in a higher room."""
 
+    scene: Scene
     views: tuple[View, ...]
 
     def images(self, values: np.ndarray, /) -> list[np.ndarray]: ...
@@ -40,12 +42,14 @@ class Measurements:
     standard_errors : of the radiances, same unit and shapes; zero where unknown; of no meaning in invalid pixels
     calibration_errors : standard errors of the views' gains, which are 1, for instance 0.02; none: all exact.
         They are no part of `standard_errors`, for they are common to all pixels of a view
+    wavelength : nm in air, if it is known
     """
 
     views: tuple[View, ...]
     images: tuple[np.ndarray, ...]
     standard_errors: tuple[np.ndarray, ...]
     calibration_errors: tuple[float, ...] = ()
+    wavelength: float | None = None
 
     @classmethod
     def rendered(cls, operator: _Renders, rendering: Any) -> Measurements:
@@ -56,7 +60,8 @@ class Measurements:
         """
         images, errors = (operator.images(values) for values in (rendering.mean, rendering.standard_error))
         samples = operator.images(np.broadcast_to(np.asarray(rendering.samples, np.float64), rendering.mean.shape))
-        return cls(operator.views, tuple(images), tuple(map(pooled_standard_errors, errors, samples)))
+        pooled = tuple(map(pooled_standard_errors, errors, samples))
+        return cls(operator.views, tuple(images), pooled, wavelength=operator.scene.wavelength)
 
     def __post_init__(self) -> None:
         for name in ("images", "standard_errors"):
@@ -89,6 +94,8 @@ class Measurements:
         for index, value in enumerate(self.calibration_errors):
             if not 0 <= value < 1:
                 raise DataError(f"measurements: calibration_errors of view {index} is {value}: at least 0, below 1")
+        if self.wavelength is not None and not 0 < self.wavelength < np.inf:
+            raise DataError(f"measurements: wavelength is {self.wavelength}: it must be above 0 nm")
         for index, error in enumerate(self.standard_errors):
             if (error < 0).any():
                 raise DataError(f"measurements: standard_errors of view {index} are negative: they must be at least 0")
@@ -100,12 +107,16 @@ class Measurements:
         most = max((float(np.nanmax(image)) for image in self.images), default=np.nan)
         radiances = f"radiance {least:.4g} to {most:.4g} W m^-2 sr^-1"
         bad = self.invalid_pixels
-        return f"Measurements({len(self.views)} views of {pixels} pixels, {radiances}{f', {bad} bad' if bad else ''})"
+        light = "" if self.wavelength is None else f", {self.wavelength:g} nm"
+        about = f"{len(self.views)} views of {pixels} pixels{light}, {radiances}"
+        return f"Measurements({about}{f', {bad} bad' if bad else ''})"
 
     def _repr_html_(self) -> str:
         facts = {"views": str(len(self.views)), "pixels": str(sum(image.size for image in self.images))}
         facts["radiance"] = f"up to {max(float(np.nanmax(image)) for image in self.images):.4g} W m^-2 sr^-1"
         facts["invalid pixels"] = str(self.invalid_pixels)
+        if self.wavelength is not None:
+            facts["wavelength"] = f"{self.wavelength:g} nm"
         return card("Measurements", facts, [(f"view {n}", image) for n, image in enumerate(self.images)])
 
     @property
@@ -144,7 +155,7 @@ class Measurements:
             share = width * height / image.size
             variance = resample(np.where(valid, error**2, 0.0), (height, width)) / whole**2
             errors.append(np.sqrt(variance * min(share, 1.0)))
-        return Measurements(tuple(views), tuple(images), tuple(errors), self.calibration_errors)
+        return replace(self, views=tuple(views), images=tuple(images), standard_errors=tuple(errors))
 
     def at_share(self, share: float) -> Measurements:
         """The images with `share` of their width and height, but at least 8 pixels or all there are.

@@ -10,7 +10,8 @@ import xarray as xr
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.extinction import read_extinction, write_extinction
-from cloudtomo_cl.files.measurements import read_measurements, read_rays, read_settings, write_measurements, write_rays
+from cloudtomo_cl.files.measurements import read_measurements, read_rays, write_measurements, write_rays
+from cloudtomo_cl.files.stored_settings import read_settings
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, PushBroomView, RadiometerView, RayView

@@ -9,7 +9,8 @@ import xarray as xr
 
 from cloudtomo_cl.commands.cli import main
 from cloudtomo_cl.errors import DataError, SettingsError
-from cloudtomo_cl.files.measurements import measurements_dataset, read_measurements, read_rays, read_settings
+from cloudtomo_cl.files.measurements import measurements_dataset, read_measurements, read_rays
+from cloudtomo_cl.files.stored_settings import read_settings
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, RayView
 from cloudtomo_cl.settings.stored import noise_of_table, scene_of_tables
