@@ -1,6 +1,6 @@
 # The public names: __init__.py gives them, and imports where they come from when they are first used.
 from .clouds.generate import cumulus
-from .clouds.mie import droplet_table
+from .clouds.mie import droplet_table, droplet_tables
 from .clouds.readers import ReadingOptions, read_cloud
 from .clouds.volume import CloudVolume
 from .commands.notebook import ProgressDisplay
@@ -26,6 +26,7 @@ from .files.measurements import (
 )
 from .files.phase import read_droplet_table, read_phase_function, write_phase_function
 from .files.vti import write_vti
+from .files.wavelengths import read_wavelengths
 from .inversion.carving import carve
 from .inversion.checkpoint import Checkpoint, read_checkpoint
 from .inversion.linear_model import LinearModel
@@ -40,7 +41,7 @@ from .inversion.stages import Stage, automatic_stages
 from .inversion.voxels import Voxels
 from .opencl.device import choose_device, list_devices
 from .report.volume import plot_volume
-from .scene.droplets import DropletTable, extinction_from_water
+from .scene.droplets import DropletTable, extinction_at, extinction_from_water
 from .scene.formations import MISR_ANGLES, RingOfViews, StringOfScans, StringOfViews, fisheye_rays
 from .scene.grid import Grid
 from .scene.measurements import Measurements
@@ -127,7 +128,9 @@ __all__ = [
     "cumulus",
     "delta",
     "droplet_table",
+    "droplet_tables",
     "epsilon",
+    "extinction_at",
     "extinction_dataset",
     "extinction_from_water",
     "fisheye_rays",
@@ -141,6 +144,7 @@ __all__ = [
     "read_measurements",
     "read_phase_function",
     "read_rays",
+    "read_wavelengths",
     "reconstruct",
     "render_to_error",
     "write_extinction",

@@ -10,11 +10,12 @@ from cloudtomo_cl.errors import DataError
 
 # Kernels count voxels with signed and pixels with unsigned integers of 32 bits.
 MOST_VOXELS, MOST_PIXELS = 2**31 - 1, 2**32 - 1
-# Where control groups of version 2 and 1 say what a container or a batch job may take, and has taken.
-_CONTROL_GROUPS = (
-    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
-    ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
-)
+# Control groups, which limit containers and batch jobs, and the file that says in which this process is.
+_CONTROL_GROUPS, _OWN_GROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
+# Of version 2 and 1: their files of what may be taken and what is, and the line of memory.stat that counts what of the
+# latter are copies of files, which go when memory is needed.
+_VERSION_2 = ("memory.max", "memory.current", "inactive_file")
+_VERSION_1 = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
 
 
 def free_memory() -> int:
@@ -25,12 +26,41 @@ def free_memory() -> int:
 
 
 def _left_by_control_groups() -> Iterator[int]:
-    for most, taken in _CONTROL_GROUPS:
+    for folder, (most, taken, idle) in _control_groups():
         try:
             # Without a limit the file says "max", or a number beyond any memory.
-            yield max(int(Path(most).read_text()) - int(Path(taken).read_text()), 0)
+            limit, used = (int((folder / name).read_text()) for name in (most, taken))
         except (OSError, ValueError):
             continue
+        yield max(limit - used + _counted(folder / "memory.stat", idle), 0)
+
+
+def _control_groups() -> Iterator[tuple[Path, tuple[str, str, str]]]:
+    """The folders of the groups that this process is in, up to the root; all of their limits hold."""
+    try:
+        lines = _OWN_GROUPS.read_text().splitlines()
+    except OSError:
+        lines = []
+    # In a container its own group may be shown as the root, whatever path the line has.
+    for line in dict.fromkeys(["0::/", "0:memory:/", *lines]):
+        _, controllers, path = line.split(":", 2)
+        if controllers and "memory" not in controllers.split(","):
+            continue
+        root = _CONTROL_GROUPS / controllers if controllers else _CONTROL_GROUPS
+        folder = root / path.lstrip("/")
+        for group in (folder, *folder.parents):
+            yield group, _VERSION_1 if controllers else _VERSION_2
+            if group == root:
+                break
+
+
+def _counted(path: Path, name: str) -> int:
+    """A line of a file of names and numbers; 0 where there is none."""
+    try:
+        numbers = dict(line.split(maxsplit=1) for line in path.read_text().splitlines())
+        return int(numbers.get(name, 0))
+    except (OSError, ValueError):
+        return 0
 
 
 def _left_by_limits() -> Iterator[int]:

@@ -37,7 +37,10 @@ UNIT, KERNELS, SYSTEM = "tests/unit/test_", "tests/kernels/test_", "tests/system
 # The tests of a file, quick ones first; the first pattern that fits. A star stands for whatever is there.
 TESTS: dict[str, tuple[str, ...]] = {
     "*/messages.py": (UNIT + "answers_in_python", UNIT + "config"),
+    "*/files/stored_settings.py": (UNIT + "files", UNIT + "misread_images", UNIT + "wavelengths"),
     "*/files/vti.py": (UNIT + "viewers",),
+    "*/files/wavelengths.py": (UNIT + "wavelengths",),
+    "*/settings/scenes.py": (UNIT + "wavelengths", SYSTEM + "spectrum"),
     "*/report/directions.py": (UNIT + "volume",),
     "*/report/volume.py": (UNIT + "volume",),
     "*/commands/example.py": (UNIT + "commands_for_people",),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from types import ModuleType
 
 import numpy as np
@@ -81,11 +82,86 @@ def droplet_table(
     DataError : an argument out of range
     MissingPackageError : miepython is not installed
     """
+    indices = None if refractive_index is None else [refractive_index]
+    return droplet_tables([wavelength_nm], effective_radius, effective_variance, indices, progress)[0]
+
+
+def droplet_tables(
+    wavelengths_nm: Sequence[float],
+    effective_radius: Sequence[float] | np.ndarray | float,
+    effective_variance: float = 0.1,
+    refractive_indices: Sequence[complex] | None = None,
+    progress: Progress | None = None,
+) -> tuple[DropletTable, ...]:
+    """`droplet_table` at several wavelengths, on common angles, so that they go into one file.
+
+    Parameters
+    ----------
+    wavelengths_nm : in air, increasing
+    effective_radius, effective_variance, progress : as in `droplet_table`
+    refractive_indices : of the droplets at each wavelength; None for water
+
+    Raises
+    ------
+    DataError : an argument out of range
+    MissingPackageError : miepython is not installed
+    """
+    radii = np.atleast_1d(np.asarray(effective_radius, dtype=np.float64))
+    for wavelength in wavelengths_nm:
+        _check(wavelength, radii, effective_variance)
+    if not len(wavelengths_nm) or not (np.diff(wavelengths_nm) > 0).all():
+        raise DataError(f"wavelengths are {list(wavelengths_nm)} nm: at least one is needed, and they must increase")
+    if refractive_indices is not None and len(refractive_indices) != len(wavelengths_nm):
+        raise DataError(f"{len(refractive_indices)} refractive indices for {len(wavelengths_nm)} wavelengths")
+    miepython = _miepython()
+    given = [None] * len(wavelengths_nm) if refractive_indices is None else refractive_indices
+    every = [_sizes(*each, radii, effective_variance) for each in zip(wavelengths_nm, given)]
+    angle = _fine_angles(max(one.largest for one in every))
+    counts = np.cumsum([0, *(len(one.sizes) for one in every)])
+    sums = [
+        _summed(miepython, one, angle, _counting(progress, int(before), int(counts[-1])))
+        for before, one in zip(counts, every)
+    ]
+    values = [differential / scattered[:, None] for differential, scattered, _ in sums]
+    chosen = _choose_angles(angle, np.concatenate(values))
+    tables = []
+    for wavelength, one, rows, (_, scattered, efficiency) in zip(wavelengths_nm, every, values, sums):
+        albedo = np.minimum(scattered / efficiency, 1.0)
+        # Amplitudes and efficiencies are summed apart: that the integral is 1 checks both.
+        function = TabulatedPhaseFunction(
+            angle=tuple(angle[chosen].tolist()),
+            values=tuple(map(tuple, rows[:, chosen].tolist())),
+            effective_radius=tuple(radii.tolist()),
+            single_scattering_albedo=tuple(albedo.tolist()),
+        )
+        about = float(wavelength), float(effective_variance), one.index.real, -one.index.imag
+        tables.append(DropletTable(function, tuple(efficiency.tolist()), *about))
+    return tuple(tables)
+
+
+@dataclass(frozen=True)
+class _Sizes:
+    """Size parameters of droplets at one wavelength.
+
+    Attributes
+    ----------
+    sizes : shape (n,)
+    weights : the geometric cross-section in droplets of each size, for each effective radius, shape (k, n)
+    largest : that of the largest effective radius
+    index : of refraction, n - i k
+    """
+
+    sizes: np.ndarray
+    weights: np.ndarray
+    largest: float
+    index: complex
+
+
+def _sizes(
+    wavelength_nm: float, refractive_index: complex | None, radii: np.ndarray, effective_variance: float
+) -> _Sizes:
     from scipy.stats import gamma
 
-    radii = np.atleast_1d(np.asarray(effective_radius, dtype=np.float64))
-    _check(wavelength_nm, radii, effective_variance)
-    miepython = _miepython()
     if refractive_index is None:
         refractive_index = water_refractive_index(wavelength_nm)
     index = complex(refractive_index.real, -abs(refractive_index.imag))
@@ -103,14 +179,34 @@ def droplet_table(
         )
     step = min(SIZE_STEP, float((largest - smallest).min()) / _FEWEST_SIZES)
     sizes = np.arange(smallest[0], largest[-1] + step, step)
-    # The geometric cross-section in droplets of each size, for each effective radius.
     weights = gamma.pdf(sizes, shape, scale=scales[:, None])
     weights /= weights.sum(axis=1, keepdims=True)
+    return _Sizes(sizes, weights, float(largest[-1]), index)
 
-    angle = _fine_angles(largest[-1])
-    # Differential over geometric cross-section, summed over the sizes, sr^-1.
-    differential = np.zeros((len(radii), len(angle)))
-    efficiency, scattered = np.zeros((2, len(radii)))
+
+def _counting(progress: Progress | None, before: int, total: int) -> Callable[[int], None]:
+    """Tells how many of all sizes are done, after those of the wavelengths before."""
+
+    def tell(done: int) -> None:
+        if progress is not None:
+            progress(before + done, total)
+
+    return tell
+
+
+def _summed(
+    miepython: ModuleType, droplets: _Sizes, angle: np.ndarray, progress: Callable[[int], None]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Differential, scattering and extinction over geometric cross-section, summed over the sizes.
+
+    Returns
+    -------
+    differential : sr^-1, shape (k, angles)
+    scattered, efficiency : shape (k,)
+    """
+    sizes, weights, index = droplets.sizes, droplets.weights, droplets.index
+    differential = np.zeros((len(weights), len(angle)))
+    efficiency, scattered = np.zeros((2, len(weights)))
     functions = _angular_functions(np.cos(np.radians(angle)), miepython.coefficients(index, sizes[-1]).shape[1])
     for start in range(0, len(sizes), _SIZES_AT_ONCE):
         chunk = slice(start, start + _SIZES_AT_ONCE)
@@ -120,21 +216,8 @@ def droplet_table(
         coefficients = [miepython.coefficients(index, size) for size in sizes[chunk]]
         intensity = _intensity(coefficients, functions)
         differential += (weights[:, chunk] / (np.pi * sizes[chunk] ** 2)) @ intensity
-        if progress is not None:
-            progress(min(start + _SIZES_AT_ONCE, len(sizes)), len(sizes))
-    values = differential / scattered[:, None]
-    chosen = _choose_angles(angle, values)
-    albedo = np.minimum(scattered / efficiency, 1.0)
-    # Amplitudes and efficiencies are summed apart: that the integral is 1 checks both.
-    table = TabulatedPhaseFunction(
-        angle=tuple(angle[chosen].tolist()),
-        values=tuple(map(tuple, values[:, chosen].tolist())),
-        effective_radius=tuple(radii.tolist()),
-        single_scattering_albedo=tuple(albedo.tolist()),
-    )
-    return DropletTable(
-        table, tuple(efficiency.tolist()), float(wavelength_nm), float(effective_variance), index.real, -index.imag
-    )
+        progress(min(start + _SIZES_AT_ONCE, len(sizes)))
+    return differential, scattered, efficiency
 
 
 def _check(wavelength_nm: float, radii: np.ndarray, variance: float) -> None:

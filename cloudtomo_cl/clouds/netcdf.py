@@ -16,9 +16,11 @@ from cloudtomo_cl.clouds.quantities import OUR_UNITS, UNIFORM, Quantity, Reading
 from cloudtomo_cl.clouds.volume import CloudVolume
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.axes import Axis, find_axes, kind_of_dimension, read_axis
+from cloudtomo_cl.files.extinction import extinction_wavelength
 from cloudtomo_cl.files.missing import require_present
 from cloudtomo_cl.files.netcdf import Source, load_dataset, name_of, require_numbers
 from cloudtomo_cl.files.units import LENGTH, MASS_DENSITY, parse_unit
+from cloudtomo_cl.files.wavelengths import wavelengths_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -93,8 +95,17 @@ def read_netcdf_cloud(source: Source, options: ReadingOptions) -> CloudVolume:
         if max(np.ptp(steps), np.ptp(apart) if len(apart) else 0.0) > 2 * UNIFORM * steps.mean():
             raise DataError(f"{path}: {axes[letter].source} is not uniform: only vertical levels may be stretched")
     rows += [(letter, axes[letter].text()) for letter in "xyz"]
-    quantity = Quantity(name, kind, values, said, stated)
+    quantity = Quantity(name, kind, values, said, stated, _wavelength(path, field) if kind == "extinction" else None)
     return cloud_volume(path, quantity, [axes[letter].edges for letter in "xyz"], radius, options, tuple(rows))
+
+
+def _wavelength(path: Any, field: xr.DataArray) -> float | None:
+    """At which the extinction is, as `CloudVolume.wavelength`; others' files may call something else so."""
+    try:
+        found = wavelengths_of(path, field.to_dataset(name="extinction"))
+    except DataError:
+        return None
+    return found[0] if len(found) == 1 else extinction_wavelength(field)
 
 
 # ---- which variable

@@ -86,6 +86,7 @@ class Quantity:
     values : in our unit, over x, y, z
     unit : as it was stated, or guessed
     stated : whether a file or a user said it
+    wavelength : nm, of an extinction, as `CloudVolume.wavelength`
     """
 
     name: str
@@ -93,6 +94,7 @@ class Quantity:
     values: np.ndarray
     unit: str
     stated: bool
+    wavelength: float | None = None
 
     def text(self, became: str = "") -> str:
         """For people."""
@@ -135,7 +137,7 @@ def cloud_volume(
     if field.kind == "extinction":
         if options.droplet_table is not None:
             raise DataError(f"{path}: --droplet-table has no effect: the file holds extinction; leave it out")
-        extinction = values
+        extinction, wavelength = values, field.wavelength
     else:
         if sizes is None:
             raise DataError(
@@ -143,14 +145,16 @@ def cloud_volume(
                 f"add --effective-radius (um) or --droplet-number (cm^-3)"
             )
         try:
-            extinction = extinction_from_water(values, sizes, _droplet_table(options))
+            table = _droplet_table(options)
+            extinction = extinction_from_water(values, sizes, table)
+            wavelength = 0.0 if table is None else table.wavelength_nm
         except DataError as error:
             raise DataError(f"{path}: {error}") from None
     grid, extinction, sizes = _on_uniform_voxels(path, edges, extinction, sizes, options)
     rows = [(field.kind, field.text(became)), *readings]
     if said_of_radius:
         rows.append(("radius of droplets", said_of_radius))
-    return CloudVolume(grid, extinction, sizes, tuple(rows))
+    return CloudVolume(grid, extinction, sizes, wavelength, tuple(rows))
 
 
 def _known(path: Any, field: Quantity, options: ReadingOptions) -> tuple[np.ndarray, str]:

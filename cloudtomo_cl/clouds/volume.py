@@ -30,6 +30,8 @@ class CloudVolume:
     extinction : km^-1, shape of the grid
     effective_radius : of the droplets, micrometres, shape of the grid, NaN where there is no cloud;
         None if nothing is known of it
+    wavelength : nm, at which the extinction is; 0 in the limit of large droplets, where the extinction efficiency is
+        2 at every wavelength; None if it is not known
     readings : what was read as what, for people: quantity, and variable, unit (stated or guessed), missing values
         and what became of them; nothing of clouds that no file held
     """
@@ -37,6 +39,7 @@ class CloudVolume:
     grid: Grid
     extinction: np.ndarray
     effective_radius: np.ndarray | None = None
+    wavelength: float | None = None
     readings: tuple[tuple[str, str], ...] = field(default=(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -151,7 +154,8 @@ class CloudVolume:
             weighted = resample(self.extinction * np.nan_to_num(self.effective_radius), shape)
             radius = weighted_mean(weighted, extinction)
         spacing = tuple(_tidy(edge * factor) for edge, factor in zip(self.grid.spacing, factors))
-        return CloudVolume(Grid(shape, spacing, self.grid.origin), extinction, radius, self.readings)  # type: ignore[arg-type]
+        grid = Grid(shape, spacing, self.grid.origin)  # type: ignore[arg-type]
+        return replace(self, grid=grid, extinction=extinction, effective_radius=radius)
 
     def tiled(self, along_x: int, along_y: int) -> CloudVolume:
         """Copies side by side."""
@@ -167,7 +171,7 @@ class CloudVolume:
         if radius is not None:
             radius = np.ascontiguousarray((change_radius or change)(radius))
         grid = replace(self.grid, shape=extinction.shape, spacing=tuple(spacing), origin=tuple(origin))
-        return CloudVolume(grid, extinction, radius, self.readings)
+        return replace(self, grid=grid, extinction=extinction, effective_radius=radius)
 
     def summary(self) -> dict[str, str]:
         """What a person wants to know of a cloud: names and texts with units."""
@@ -186,6 +190,8 @@ class CloudVolume:
             "cover": f"{covered.mean():.1%} of columns deeper than {COVER_OPTICAL_DEPTH}",
             "optical mass": f"{extinction.sum() * grid.voxel_volume:.4g} km^2",
         }
+        if self.wavelength is not None:
+            rows["extinction holds"] = f"at {self.wavelength:g} nm" if self.wavelength else "for large droplets (Q = 2)"
         if cloudy.any():
             layers = np.flatnonzero(cloudy.any(axis=(0, 1)))
             base = grid.origin[2] + layers[0] * grid.spacing[2]

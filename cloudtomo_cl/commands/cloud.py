@@ -227,7 +227,7 @@ def _write(output: Path, volume: CloudVolume, made: dict[str, Any]) -> None:
     from cloudtomo_cl.files.extinction import write_extinction
 
     attributes = {"source": source(), "settings": made, "versions": versions()}
-    write_extinction(output, volume.grid, volume.extinction, attributes, volume.effective_radius)
+    write_extinction(output, volume.grid, volume.extinction, attributes, volume.effective_radius, volume.wavelength)
 
 
 def _write_vti(vti: Path, volume: CloudVolume) -> None:

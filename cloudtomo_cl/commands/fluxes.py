@@ -14,12 +14,13 @@ from rich.console import Console
 
 from cloudtomo_cl.commands import progress, stopping
 from cloudtomo_cl.commands.provenance import describe_device, source, versions
-from cloudtomo_cl.files.extinction import extinction_dataset, read_effective_radius, read_extinction
+from cloudtomo_cl.errors import SettingsError
+from cloudtomo_cl.files.extinction import extinction_dataset
 from cloudtomo_cl.files.netcdf import ENDINGS, check_output, is_netcdf, save_dataset
 from cloudtomo_cl.opencl.device import choose_device
 from cloudtomo_cl.scene.scene import Boundary, Scene
+from cloudtomo_cl.settings.scenes import read_scene_file
 from cloudtomo_cl.settings.stored import kept_scene, stored_scene
-from cloudtomo_cl.settings.tables import read_flux_settings
 from cloudtomo_cl.transport.flux import Fluxes, FluxOperator, can_be_open
 
 _DEFAULT_PHOTONS = 1_000_000
@@ -107,8 +108,9 @@ def deliver(job: Job, result: Result) -> None:
     """Writes the fluxes, if a file is wanted, and prints their means."""
     fluxes, output = result.fluxes, job.request.output
     if output is not None:
+        scene = job.operator.scene
         kept = extinction_dataset(
-            job.operator.scene.grid, job.extinction, _attributes(job, result), job.effective_radius
+            scene.grid, job.extinction, _attributes(job, result), job.effective_radius, wavelength=scene.wavelength
         )
         save_dataset(output, kept.assign(_variables(fluxes)))
     for line in _lines(job.operator.scene, fluxes):
@@ -170,10 +172,14 @@ def _to_compute(path: Path, overrides: Sequence[str]) -> tuple[Scene, np.ndarray
     """Scene, extinction, effective radius and settings, of a scene file or of a file that keeps them."""
     if is_netcdf(path):
         return kept_scene(path, overrides)
-    settings = read_flux_settings(path, overrides)
-    file = settings.cloud.file
-    grid, extinction = read_extinction(file)
-    scene = settings.scene(grid)
+    read = read_scene_file(path, overrides, with_views=False)
+    if len(read.scenes) > 1:
+        first = read.scenes[0].wavelength
+        raise SettingsError(
+            f"{path}: spectrum.wavelengths: fluxes are of one wavelength, for instance with --set "
+            f"'spectrum.wavelengths=[{first:g}]'"
+        )
+    settings, scene, extinction = read.settings, read.scenes[0], read.extinctions[0]
     if "boundary" not in settings.model_fields_set and not can_be_open(scene):
         # As a scene of `init render`: fluxes have no other choice, and nobody has made one.
         print(
@@ -182,7 +188,7 @@ def _to_compute(path: Path, overrides: Sequence[str]) -> tuple[Scene, np.ndarray
             file=sys.stderr,
         )
         scene = replace(scene, boundary=Boundary("periodic"))
-    return scene, extinction, read_effective_radius(file), {"cloud_file": file.name}
+    return scene, extinction, read.effective_radius, {"cloud_file": settings.cloud.file.name}
 
 
 def _variables(fluxes: Fluxes) -> dict[str, Any]:

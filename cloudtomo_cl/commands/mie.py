@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,13 +20,14 @@ Compute phase functions and other optics of cloud droplets by Mie's theory.
 
 The droplets are spheres of water (or of --refractive-index) whose sizes follow a gamma distribution with the given
 effective radius and variance. The output is netCDF with phase_function(effective_radius, angle) in sr^-1,
-single_scattering_albedo, extinction_efficiency and mass_extinction (m^2 g^-1). It needs the package miepython:
-pip install 'miepython >= 3.0.2'."""
+single_scattering_albedo, extinction_efficiency and mass_extinction (m^2 g^-1); of several wavelengths each of them has
+a first dimension wavelength. It needs the package miepython: pip install 'miepython >= 3.0.2'."""
 
 EXAMPLES = """\
 examples:
   cloudtomo mie --wavelength 672 --effective-radius 10 --output mie.nc
   cloudtomo mie --wavelength 672 --effective-radius 5 25 --count 11 --output mie.nc --png mie.png
+  cloudtomo mie --wavelength 672 2130 --effective-radius 5 25 --count 21 --output mie.nc     # [spectrum] of a scene
 
 and in a scene:
   [cloud]
@@ -37,7 +38,9 @@ _LARGEST_COUNT = 200
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of the command; they are the parameters of `run`."""
-    parser.add_argument("--wavelength", type=float, required=True, metavar="NM", help="nm")
+    parser.add_argument(
+        "--wavelength", type=float, nargs="+", required=True, metavar="NM", help="nm; several, increasing, in one file"
+    )
     parser.add_argument(
         "--effective-radius", type=float, nargs="+", required=True, metavar="UM", help="of the droplets, um, increasing"
     )
@@ -50,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         nargs=2,
         metavar=("N", "K"),
-        help="real and imaginary part (default: water at 25 degrees C, Hale and Querry 1973)",
+        help="real and imaginary part, of one wavelength (default: water at 25 degrees C, Hale and Querry 1973)",
     )
     parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="the table, netCDF")
     parser.add_argument("--png", type=Path, metavar="FILE", help="a picture of it (.png, .pdf, .svg)")
@@ -59,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(
-    wavelength: float,
+    wavelength: list[float],
     effective_radius: list[float],
     count: int | None,
     effective_variance: float,
@@ -72,29 +75,33 @@ def run(
     """Makes a table of droplets' optics."""
     from rich.console import Console
 
-    from cloudtomo_cl.clouds.mie import droplet_table
+    from cloudtomo_cl.clouds.mie import droplet_tables
     from cloudtomo_cl.commands import progress
     from cloudtomo_cl.commands.provenance import source, versions
     from cloudtomo_cl.files.phase import write_phase_function
 
     options.check_outputs(overwrite, output=output, png=png)
     radii = _radii(effective_radius, count)
-    index = None if refractive_index is None else complex(refractive_index[0], -refractive_index[1])
+    if refractive_index is not None and len(wavelength) > 1:
+        raise SettingsError(f"--refractive-index is of one wavelength, and there are {len(wavelength)}: leave it out")
+    index = None if refractive_index is None else [complex(refractive_index[0], -refractive_index[1])]
     console = Console(markup=False, emoji=False, quiet=quiet)
     with progress.counting(console, "droplet sizes") as show:
-        table = droplet_table(wavelength, radii, effective_variance, index, show)
+        tables = droplet_tables(wavelength, radii, effective_variance, index, show)
+    indices = [[table.refractive_index_real, table.refractive_index_imag] for table in tables]
     settings = {
-        "wavelength": wavelength,
+        "wavelength": wavelength[0] if len(tables) == 1 else wavelength,
         "effective_radius": radii,
         "effective_variance": effective_variance,
-        "refractive_index": [table.refractive_index_real, table.refractive_index_imag],
+        "refractive_index": indices[0] if len(tables) == 1 else indices,
     }
-    write_phase_function(output, table, {"source": source(), "versions": versions(), "settings": settings})
-    for line in (*_lines(table), str(output)):
+    write_phase_function(output, tables, {"source": source(), "versions": versions(), "settings": settings})
+    lines = [line for table in tables for line in _lines(table, len(tables) > 1)]
+    for line in (*lines, str(output)):
         console.print(line, highlight=False, soft_wrap=True)
     if png is not None:
         stopping.check()
-        _plot(png, table)
+        _plot(png, tables)
 
 
 def _radii(given: list[float], count: int | None) -> list[float]:
@@ -112,8 +119,10 @@ def _radii(given: list[float], count: int | None) -> list[float]:
     return [float(f"{radius:.6g}") for radius in np.linspace(given[0], given[1], count)]
 
 
-def _lines(table: DropletTable) -> Iterator[str]:
+def _lines(table: DropletTable, with_wavelength: bool) -> Iterator[str]:
     """What is printed of a table."""
+    if with_wavelength:
+        yield f"{table.wavelength_nm:g} nm"
     function = table.phase_function
     index = f"{table.refractive_index_real:.5g} - {table.refractive_index_imag:.3g} i"
     yield f"refractive index {index}, {len(function.angle)} angles"
@@ -127,9 +136,13 @@ def _lines(table: DropletTable) -> Iterator[str]:
         )
 
 
-def _plot(png: Path, table: DropletTable) -> None:
+def _plot(png: Path, tables: Sequence[DropletTable]) -> None:
     from cloudtomo_cl.report.plots import new_figure, plot_phase_function, save_figure
 
-    figure = new_figure(7, 4.5)
-    plot_phase_function(figure.subplots(), table.phase_function)
+    figure = new_figure(7, 4.5 * len(tables))
+    panels = figure.subplots(len(tables), squeeze=False)[:, 0]
+    for panel, table in zip(panels, tables):
+        plot_phase_function(panel, table.phase_function)
+        if len(tables) > 1:
+            panel.set_title(f"{table.wavelength_nm:g} nm")
     save_figure(png, figure)

@@ -27,6 +27,7 @@ example:
 run.toml:
   [measurements]
   file = "images.nc"                # all that is needed, if cloudtomo render made it
+  wavelength = 2130.0               # nm; only where the file holds several
   [truth]                           # optional: tells the errors eps and delta, and nothing else
   file = "cloud.nc"
   [run]                             # optional

@@ -21,13 +21,14 @@ from cloudtomo_cl.commands.reporting import make_report
 from cloudtomo_cl.commands.run_folder import RunFolder
 from cloudtomo_cl.commands.stopping import exit_status
 from cloudtomo_cl.errors import DataError, DeviceError, Interrupted, SettingsError
-from cloudtomo_cl.files.measurements import read_measurements, read_settings
+from cloudtomo_cl.files.measurements import read_measurements
 from cloudtomo_cl.files.netcdf import is_netcdf
+from cloudtomo_cl.files.stored_settings import read_settings
 from cloudtomo_cl.files.truth import read_truth
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint
 from cloudtomo_cl.inversion.reconstruct import check, reconstruct
-from cloudtomo_cl.inversion.records import IterationRecord, Reconstruction
+from cloudtomo_cl.inversion.records import COLUMNS, IterationRecord, Reconstruction
 from cloudtomo_cl.inversion.run import records
 from cloudtomo_cl.opencl.device import Device, choose_device
 from cloudtomo_cl.scene.measurements import Measurements
@@ -140,7 +141,7 @@ def prepare(request: Request) -> Job:
     else:
         folder.check_new()
     scene = settings.scene(stored.get("scene", {}))
-    truth = None if settings.truth is None else read_truth(settings.truth.file, scene.grid)
+    truth = None if settings.truth is None else read_truth(settings.truth.file, scene.grid, measurements.wavelength)
     check_views(scene, measurements.views)
     device = choose_device(request.device)
     seed = settings.run.seed if request.seed is None else request.seed
@@ -167,7 +168,7 @@ def _read(request: Request) -> tuple[ReconstructSettings, Measurements, dict[str
         settings = repeated_reconstruct_settings(request.run, stored, request.overrides)
     else:
         settings = read_reconstruct_settings(request.run, request.overrides)
-        measurements, stored = _read_measurements(settings.measurements.file)
+        measurements, stored = _read_measurements(settings.measurements.file, settings.measurements.wavelength)
     if settings.view is not None:
         try:
             measurements = replace(measurements, views=views(settings.view))
@@ -177,9 +178,9 @@ def _read(request: Request) -> tuple[ReconstructSettings, Measurements, dict[str
     return settings, measurements, stored
 
 
-def _read_measurements(path: Path) -> tuple[Measurements, dict[str, Any]]:
-    """Images, and the settings they were made with; images from elsewhere have none."""
-    return read_measurements(path), read_settings(path, required=False)
+def _read_measurements(path: Path, wavelength: float | None = None) -> tuple[Measurements, dict[str, Any]]:
+    """Images of one wavelength, and the settings they were made with; images from elsewhere have none."""
+    return read_measurements(path, wavelength), read_settings(path, required=False, wavelength=wavelength)
 
 
 def execute(job: Job) -> Outcome:
@@ -261,6 +262,8 @@ def _description(job: Job) -> dict[str, Any]:
         # As seen from the run folder, so that both may move together.
         "files": {name: os.path.relpath(table.file, job.request.output) for name, table in tables if table is not None},
         "scene": stored_scene(job.scene),
+        # The table itself begins with its columns' names, as every reader of such tables expects.
+        "history": {name: {"units": units, "long_name": text} for name, (units, text) in COLUMNS.items()},
         "digests": {} if job.truth is None else {"truth": digest(job.truth)},
         "device": describe_device(job.device),
         "versions": versions(),

@@ -42,7 +42,8 @@ scene.toml:
   width = 1.6                       # km across the image
   pixels = [48, 48]
 other types of view: "push-broom", "radiometer", "rays" (a file); "ring", "string", "scans" (several
-views each). optional tables: [air], [surface] albedo, [boundary] horizontal = "open" or "periodic"."""
+views each). optional tables: [spectrum] wavelengths (nm; all of them go into one file), [air],
+[surface] albedo, [boundary] horizontal = "open" or "periodic"."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -14,17 +14,18 @@ from rich.console import Console
 from cloudtomo_cl.commands import progress, stopping
 from cloudtomo_cl.commands.provenance import describe_device, source, versions
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.files.extinction import read_effective_radius, read_extinction
 from cloudtomo_cl.files.measurements import read_measurements, write_measurements
 from cloudtomo_cl.files.netcdf import ENDINGS, check_output, is_netcdf
+from cloudtomo_cl.files.wavelengths import read_wavelengths
 from cloudtomo_cl.opencl.device import choose_device
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.noise import Noise
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.sensors import View
 from cloudtomo_cl.scene.visibility import check_views
+from cloudtomo_cl.settings.scenes import read_scene_file
 from cloudtomo_cl.settings.stored import kept_scene, noise_of_table, stored_noise, stored_scene
-from cloudtomo_cl.settings.tables import read_render_settings, views
+from cloudtomo_cl.settings.tables import views
 from cloudtomo_cl.transport.adaptive import relative_error, render_to_error
 from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering
 
@@ -54,15 +55,16 @@ class Job:
 
     Attributes
     ----------
-    extinction, effective_radius : km^-1 and micrometres, shape of the scene's grid
+    operators, extinctions : one, or one for each wavelength; km^-1, shape of the scenes' grid
+    effective_radius : micrometres, of that shape
     samples, target_error : at least one of them; the target decides, and the samples are then the most
     iteration : of the random numbers: images of a recovered cloud have some of their own
     cloud_file : the name of the file that the cloud is from
     """
 
     request: Request
-    operator: RadianceOperator
-    extinction: np.ndarray
+    operators: tuple[RadianceOperator, ...]
+    extinctions: tuple[np.ndarray, ...]
     effective_radius: np.ndarray | None
     samples: int | None
     target_error: float | None
@@ -85,19 +87,19 @@ class Job:
 
 @dataclass(frozen=True)
 class Result:
-    """Images, with the camera's noise if the scene has one, and the seconds that they took."""
+    """Images of each wavelength, with the camera's noise if the scene has one, and the seconds that they took."""
 
-    rendering: Rendering
-    measurements: Measurements
+    renderings: tuple[Rendering, ...]
+    measurements: tuple[Measurements, ...]
     seconds: float
 
 
 def prepare(request: Request) -> Job:
     """Reads and checks everything, and builds the kernels. Raises what can be refused."""
-    scene, seen, extinction, radius, made = _to_render(request.scene, request.overrides)
+    scenes, seen, extinctions, radius, made = _to_render(request.scene, request.overrides)
     check_output(request.output, request.overwrite, ENDINGS)
     _check_previews(request.png, request.overwrite)
-    check_views(scene, seen)
+    check_views(scenes[0], seen)
     stopping.check()
     samples, target_error = request.samples, request.target_error
     if samples is None and target_error is None:
@@ -106,10 +108,11 @@ def prepare(request: Request) -> Job:
     if target_error is None:
         samples = samples or _DEFAULT_SAMPLES
     noise = None if made.get("noise") is None else noise_of_table(request.scene, made["noise"])
+    device = choose_device(request.device)
     return Job(
         request=request,
-        operator=RadianceOperator(scene, seen, choose_device(request.device), effective_radius=radius),
-        extinction=extinction,
+        operators=tuple(RadianceOperator(scene, seen, device, effective_radius=radius) for scene in scenes),
+        extinctions=extinctions,
         effective_radius=radius,
         samples=samples,
         target_error=target_error,
@@ -123,76 +126,99 @@ def prepare(request: Request) -> Job:
 def execute(job: Job) -> Result:
     """Computes the images."""
     start = time.perf_counter()
+    renderings = tuple(_rendered(job, *each) for each in zip(job.operators, job.extinctions))
+    seconds = time.perf_counter() - start
+    measurements = tuple(map(Measurements.rendered, job.operators, renderings))
+    if job.noise is not None:
+        # The paths of all wavelengths have the same random numbers; a camera's noise has its own at each.
+        measurements = tuple(job.noise.added_to(one, job.seed, index) for index, one in enumerate(measurements))
+    return Result(renderings, measurements, seconds)
+
+
+def _rendered(job: Job, operator: RadianceOperator, extinction: np.ndarray) -> Rendering:
+    """The images of one wavelength."""
+    light = "" if operator.scene.wavelength is None else f" at {operator.scene.wavelength:g} nm"
     if job.target_error is None:
         assert job.samples is not None
-        with progress.rendering(job.console, job.samples) as show:
-            rendering = job.operator.render(job.extinction, job.samples, job.seed, job.iteration, progress=show)
-    else:
-        most = {} if job.samples is None else {"most_paths": float(job.samples) * len(job.operator.pixels)}
-        with progress.rendering(job.console, 100, "%") as show:
-            rendering = render_to_error(
-                job.operator,
-                job.extinction,
-                job.target_error,
-                job.seed,
-                **most,
-                progress=lambda share: show(round(100 * share)),
-            )
-    seconds = time.perf_counter() - start
-    measurements = Measurements.rendered(job.operator, rendering)
-    if job.noise is not None:
-        measurements = job.noise.added_to(measurements, job.seed)
-    return Result(rendering, measurements, seconds)
+        with progress.rendering(job.console, job.samples, f"samples{light}") as show:
+            return operator.render(extinction, job.samples, job.seed, job.iteration, progress=show)
+    most = {} if job.samples is None else {"most_paths": float(job.samples) * len(operator.pixels)}
+    with progress.rendering(job.console, 100, f"%{light}") as show:
+        return render_to_error(
+            operator,
+            extinction,
+            job.target_error,
+            job.seed,
+            **most,
+            progress=lambda share: show(round(100 * share)),
+        )
 
 
 def deliver(job: Job, result: Result) -> None:
     """Writes the images, tells about them, and makes previews."""
-    operator, request = job.operator, job.request
-    paths = result.rendering.audit.launched
+    operators, request = job.operators, job.request
+    _write(job, result)
+    worst = 0.0
+    for operator, rendering, measurements in zip(operators, result.renderings, result.measurements):
+        relative = relative_error(operator, rendering)
+        worst = max(worst, float(relative.max()))
+        for line in _lines(job, measurements, relative):
+            job.console.print(line, highlight=False, soft_wrap=True)
+    if job.target_error is not None and worst > job.target_error:
+        text = f"the target of {job.target_error:.2%} needs more paths than these"
+        job.console.print(text, soft_wrap=True)
+    took, paths = progress.duration(result.seconds), sum(one.audit.launched for one in result.renderings)
+    job.console.print(f"{paths:.3g} paths in {took} on {operators[0].device.name}: {request.output}", soft_wrap=True)
+    if request.png is not None:
+        stopping.check()
+        _show(job, request.png, result.measurements)
+
+
+def _write(job: Job, result: Result) -> None:
+    """The images, with what renders them again."""
+    request, operators = job.request, job.operators
+    scenes = [stored_scene(operator.scene) for operator in operators]
+    several = len(scenes) > 1
+    described: dict[str, Any] = {"scenes": scenes} if several else {"scene": scenes[0]}
     how = job.how if job.noise is None else {**job.how, "noise": stored_noise(job.noise)}
-    settings = {"scene": stored_scene(operator.scene), "cloud_file": job.cloud_file, **how, "seed": job.seed}
-    if request.blind:
-        # The random numbers, too: with them a guessed cloud would be known by its noise.
-        settings = {"scene": settings["scene"]}
+    # Of a blind test not even the random numbers: with them a guessed cloud would be known by its noise.
+    settings = described if request.blind else {**described, "cloud_file": job.cloud_file, **how, "seed": job.seed}
+    extinction = job.extinctions if several else job.extinctions[0]
     write_measurements(
         request.output,
-        result.measurements,
+        result.measurements if several else result.measurements[0],
         {
             "source": source(),
-            "device": describe_device(operator.device),
+            "device": describe_device(operators[0].device),
             "versions": versions(),
-            "paths": float(paths),
+            "paths": float(sum(rendering.audit.launched for rendering in result.renderings)),
             "seconds": result.seconds,
         },
         settings,
-        None if request.blind else (operator.scene.grid, job.extinction, job.effective_radius),
+        None if request.blind else (operators[0].scene.grid, extinction, job.effective_radius),
     )
-    relative = relative_error(operator, result.rendering)
-    for line in _lines(job, result, relative):
-        job.console.print(line, highlight=False, soft_wrap=True)
-    if job.target_error is not None and relative.max() > job.target_error:
-        text = f"the target of {job.target_error:.2%} needs more paths than these"
-        job.console.print(text, soft_wrap=True)
-    took = progress.duration(result.seconds)
-    job.console.print(f"{paths:.3g} paths in {took} on {operator.device.name}: {request.output}", soft_wrap=True)
-    if request.png is not None:
-        stopping.check()
-        from cloudtomo_cl.report.plots import radiance_limit, save_previews
-
-        save_previews(request.png, result.measurements)
-        white = radiance_limit(result.measurements)
-        text = f"previews from 0 (black) to {white:.4g} W m^-2 sr^-1 (white): {request.png}"
-        job.console.print(text, soft_wrap=True)
 
 
-def _lines(job: Job, result: Result, relative: np.ndarray) -> list[str]:
+def _show(job: Job, folder: Path, measurements: Sequence[Measurements]) -> None:
+    """Previews, on one grey scale for each wavelength."""
+    from cloudtomo_cl.report.plots import radiance_limit, save_previews
+
+    for one in measurements:
+        light = "" if len(measurements) == 1 else f"{one.wavelength:g}nm_"
+        save_previews(folder, one, light)
+        scale = f"from 0 (black) to {radiance_limit(one):.4g} W m^-2 sr^-1 (white)"
+        job.console.print(f"previews{f' at {one.wavelength:g} nm' if light else ''} {scale}: {folder}", soft_wrap=True)
+
+
+def _lines(job: Job, measurements: Measurements, relative: np.ndarray) -> list[str]:
     """What is printed of each view: its mean radiance and its noise."""
     lines = []
-    for index, (image, error) in enumerate(zip(result.measurements.images, result.measurements.standard_errors)):
+    light = "" if measurements.wavelength is None else f"{measurements.wavelength:g} nm, "
+    for index, (image, error) in enumerate(zip(measurements.images, measurements.standard_errors)):
         # Pixels have random numbers of their own: their variances add.
         valid = ~np.isnan(image)
         mean_error = np.sqrt((error[valid] ** 2).sum()) / valid.sum()
-        line = f"view {index}: mean radiance {progress.with_error(image[valid].mean(), mean_error)} W m^-2 sr^-1"
+        line = f"{light}view {index}: mean radiance {progress.with_error(image[valid].mean(), mean_error)} W m^-2 sr^-1"
         line += f", pixel noise {relative[index]:.2%}"
         if job.noise is not None:
             line += f", with the camera's {np.sqrt(np.mean(error[valid] ** 2)) / image[valid].mean():.2%}"
@@ -205,24 +231,19 @@ def _check_previews(png: Path | None, overwrite: bool) -> None:
     """DataError if previews cannot go to a folder."""
     if png is not None and (png.is_file() or any(parent.is_file() for parent in png.parents)):
         raise DataError(f"{png}: is a file, or lies beneath one: choose another folder for --png")
-    if png is not None and not overwrite and any(png.glob("view_*.png")):
+    if png is not None and not overwrite and any(png.glob("*view_*.png")):
         raise DataError(f"{png}: holds previews already: choose another folder, or add --overwrite")
 
 
 def _to_render(
     path: Path, overrides: Sequence[str]
-) -> tuple[Scene, tuple[View, ...], np.ndarray, np.ndarray | None, dict[str, Any]]:
-    """Scene, views, extinction, effective radius and settings, of a scene file or of images rendered before."""
+) -> tuple[tuple[Scene, ...], tuple[View, ...], tuple[np.ndarray, ...], np.ndarray | None, dict[str, Any]]:
+    """Scenes, views, extinctions, effective radius and settings, of a scene file or of images rendered before."""
     if not is_netcdf(path):
-        settings = read_render_settings(path, overrides)
-        file = settings.cloud.file
-        grid, extinction = read_extinction(file)
-        return (
-            settings.scene(grid),
-            views(settings.view),
-            extinction,
-            read_effective_radius(file),
-            {"cloud_file": file.name, "noise": settings.noise},
-        )
-    scene, extinction, radius, stored = kept_scene(path, overrides)
-    return scene, read_measurements(path).views, extinction, radius, stored
+        read = read_scene_file(path, overrides)
+        settings = read.settings
+        made: dict[str, Any] = {"cloud_file": settings.cloud.file.name, "noise": settings.noise}
+        return read.scenes, views(settings.view), read.extinctions, read.effective_radius, made
+    wavelengths = read_wavelengths(path) or (None,)
+    scenes, extinctions, radii, stored = zip(*(kept_scene(path, overrides, one) for one in wavelengths))
+    return scenes, read_measurements(path, wavelengths[0]).views, extinctions, radii[0], stored[0]

@@ -141,7 +141,8 @@ def _read(run: RunFolder) -> _Shown:
     files = settings.get("files", {})
     shown.measurements = _measured(run, shown, files)
     if "truth" in files:
-        shown.truth = _if_there(run.path / files["truth"], lambda path: read_truth(path, grid))
+        wavelength = None if shown.measurements is None else shown.measurements.wavelength
+        shown.truth = _if_there(run.path / files["truth"], lambda path: read_truth(path, grid, wavelength))
     _leave_out_what_is_of_another(run, shown)
     return shown
 
@@ -216,6 +217,8 @@ def _numbers(shown: _Shown) -> dict[str, str]:
         numbers["error, eps"] = f"{epsilon(extinction, truth):.3f}"
         numbers["bias of the mass, delta"] = f"{delta(extinction, truth):+.1%}"
     depth = extinction.sum(axis=2, dtype=float) * grid.spacing[2]
+    if shown.measurements is not None and shown.measurements.wavelength is not None:
+        numbers["wavelength"] = f"{shown.measurements.wavelength:g} nm"
     numbers["optical mass"] = f"{extinction.sum(dtype=float) * grid.voxel_volume:.4g} km²"
     numbers["largest optical depth"] = f"{depth.max():.3g}"
     numbers["voxels"] = " × ".join(map(str, grid.shape))

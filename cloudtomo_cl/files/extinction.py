@@ -21,7 +21,9 @@ from cloudtomo_cl.files.netcdf import (
     number_variable,
     save_dataset,
 )
+from cloudtomo_cl.files.wavelengths import WAVELENGTH, at_wavelength, wavelength_coordinate, wavelengths_of
 from cloudtomo_cl.scene.arrays import filled
+from cloudtomo_cl.scene.droplets import GEOMETRIC_EXTINCTION_EFFICIENCY
 from cloudtomo_cl.scene.grid import Grid
 
 if TYPE_CHECKING:
@@ -32,6 +34,8 @@ WRITTEN_AXES = AXES[::-1]
 # What extinctions without units may be, largest of a cloud, km^-1: less is likely one in m^-1.
 PLAUSIBLE_EXTINCTION = (0.5, 2000.0)
 PLAUSIBLE_RADIUS = (0.5, 500.0)
+# The attribute of an extinction that water has in the limit of large droplets, whatever the wavelength.
+_EFFICIENCY = "extinction_efficiency"
 # Above this a number is no quantity of a cloud in any unit, but a mark for missing values.
 LARGEST = 1e15
 
@@ -80,13 +84,18 @@ def _turned(values: np.ndarray, axes: Sequence[Axis]) -> np.ndarray:
     return values[tuple(slice(None, None, -1 if axis.falls else 1) for axis in axes)]
 
 
-def read_extinction(source: Source) -> tuple[Grid, np.ndarray]:
+def read_extinction(source: Source, wavelength: float | None = None) -> tuple[Grid, np.ndarray]:
     """Reads extinction(x, y, z) from a netCDF file, or from an xarray Dataset or DataArray.
 
     The coordinates x, y, z are the centres of uniform voxels, in units of length (km if no unit is given, and
     voxels then are as small as those of clouds); they may fall, and the domain starts half a voxel below the lowest,
     or where bounds say. Extinction is in units of an inverse length (km-1 if none is given); its dimensions may come
     in any order.
+
+    Parameters
+    ----------
+    source : a file, or a dataset
+    wavelength : nm, which extinction, where the file holds those at several
 
     Returns
     -------
@@ -95,11 +104,13 @@ def read_extinction(source: Source) -> tuple[Grid, np.ndarray]:
 
     Raises
     ------
-    DataError : no such file, not netCDF, cut short; missing variables, other dimensions or
+    DataError : no such file, not netCDF, cut short; several wavelengths of which
+        none is chosen, or not this one; missing variables, other dimensions or
         units, spacing that is not uniform, a domain below the ground; extinction that is missing,
         negative, not finite or zero everywhere, or without units and unlike any cloud's
     """
-    path, dataset = name_of(source), load_dataset(source)
+    path = name_of(source)
+    dataset = at_wavelength(path, load_dataset(source), wavelength)
     variable = number_variable(path, dataset, "extinction", AXES)
     axes, spacing, origin = zip(*(_axis(path, dataset, name) for name in AXES))
     factor, stated = factor_of(path, "extinction", variable.attrs.get("units"), "km-1")
@@ -121,6 +132,31 @@ def read_extinction(source: Source) -> tuple[Grid, np.ndarray]:
         return Grid(shape=extinction.shape, spacing=spacing, origin=origin), extinction
     except InvalidSettingError as error:
         raise DataError(f"{path}: impossible grid: {error.details[0]['msg']} (z must be at least 0)") from None
+
+
+def read_extinction_wavelength(source: Source) -> float | None:
+    """The wavelength at which a file has its extinction.
+
+    Returns
+    -------
+    wavelength : nm; 0 in the limit of large droplets, where the extinction efficiency is 2 and no wavelength matters;
+        None where the file does not say, or holds several
+
+    Raises
+    ------
+    DataError : no such file, not netCDF; a wavelength that is none
+    """
+    dataset = load_dataset(source)
+    found = wavelengths_of(name_of(source), dataset)
+    if len(found) == 1:
+        return found[0]
+    return extinction_wavelength(dataset.get("extinction"))
+
+
+def extinction_wavelength(variable: xr.DataArray | None) -> float | None:
+    """0 where a variable says that it is in the limit of large droplets; None otherwise."""
+    efficiency = None if variable is None else variable.attrs.get(_EFFICIENCY)
+    return 0.0 if efficiency == GEOMETRIC_EXTINCTION_EFFICIENCY else None
 
 
 def check_extinction(path: Any, name: str, values: np.ndarray) -> None:
@@ -165,7 +201,7 @@ def read_effective_radius(source: Source) -> np.ndarray | None:
     if all(name in dataset.variables for name in AXES):
         radius = _turned(radius, [read_axis(path, dataset, name, name) for name in AXES])
     if "extinction" in dataset.variables:
-        extinction = read_extinction(dataset)[1]
+        extinction = read_extinction(dataset, next(iter(wavelengths_of(path, dataset)), None))[1]
         check_radius(path, radius, extinction > 0, stated)
     return np.ascontiguousarray(radius, np.float32)
 
@@ -202,19 +238,20 @@ def write_extinction(
     extinction: np.ndarray,
     attributes: Mapping[str, Any] | None = None,
     effective_radius: np.ndarray | None = None,
+    wavelength: float | None = None,
 ) -> None:
     """Writes `extinction_dataset` into a netCDF file.
 
     Parameters
     ----------
     path : of the file; it is replaced whole or not at all
-    grid, extinction, attributes, effective_radius : see `extinction_dataset`
+    grid, extinction, attributes, effective_radius, wavelength : see `extinction_dataset`
 
     Raises
     ------
     DataError : as `extinction_dataset`; the file cannot be written
     """
-    save_dataset(path, extinction_dataset(grid, extinction, attributes, effective_radius, name_of(path)))
+    save_dataset(path, extinction_dataset(grid, extinction, attributes, effective_radius, name_of(path), wavelength))
 
 
 def extinction_dataset(
@@ -223,6 +260,7 @@ def extinction_dataset(
     attributes: Mapping[str, Any] | None = None,
     effective_radius: np.ndarray | None = None,
     name: str = "the dataset",
+    wavelength: float | None = None,
 ) -> xr.Dataset:
     """extinction(z, y, x) with its voxel centres and their bounds, after the CF conventions.
 
@@ -233,6 +271,7 @@ def extinction_dataset(
     attributes : text or numbers; mappings are stored as JSON
     effective_radius : of the droplets, micrometres, same shape, NaN where there is no cloud
     name : what errors call it
+    wavelength : nm, at which the extinction is; 0 in the limit of large droplets (an extinction efficiency of 2)
 
     Raises
     ------
@@ -241,6 +280,10 @@ def extinction_dataset(
     import xarray as xr
 
     variables, coordinates = extinction_variables(name, grid, extinction, effective_radius)
+    if wavelength:
+        coordinates[WAVELENGTH] = wavelength_coordinate(wavelength)
+    elif wavelength is not None:
+        variables["extinction"][2][_EFFICIENCY] = GEOMETRIC_EXTINCTION_EFFICIENCY
     return xr.Dataset(variables, coordinates, file_attributes("extinction of a cloud", attributes))
 
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
-from pydantic.dataclasses import dataclass
+from pydantic import TypeAdapter, ValidationError
 
-from cloudtomo_cl.errors import DataError, InvalidSettingError, SettingsError
+from cloudtomo_cl.errors import DataError, InvalidSettingError
 from cloudtomo_cl.files.axes import components_in_order, in_order
 from cloudtomo_cl.files.extinction import extinction_variables
 from cloudtomo_cl.files.missing import undeclared_fill
@@ -27,6 +26,7 @@ from cloudtomo_cl.files.netcdf import (
     unit_factor,
 )
 from cloudtomo_cl.files.units import NUMBER, parse_unit
+from cloudtomo_cl.files.wavelengths import WAVELENGTH, at_wavelength, stacked, wavelength_coordinate, wavelengths_of
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.sensors import RayView, View
@@ -55,6 +55,12 @@ VIEW_FIELDS: dict[str, tuple[tuple[str, ...], str, str]] = {
     "end": (("axis",), "km", "end of the flight track of a push-broom image, at its top"),
     "along_track_angle": ((), "degree", "angle from nadir of a push-broom scanner's look, positive ahead"),
 }
+# Standard errors, each common to all pixels of a view: field of `Measurements`, unit, long name.
+ERRORS_OF_VIEWS = {
+    "calibration_error": ("calibration_errors", "1", "standard error of a view's gain"),
+    "pointing_error": ("pointing_errors", "degree", "standard error of a camera's direction and its image's rotation"),
+    "position_error": ("position_errors", "km", "standard error of a camera's place, or of an orthographic image's"),
+}
 # Of lengths and angles without units, the largest that are taken as km and the smallest as degrees: heights and
 # distances of kilometres, angles that in radians are no directions. What else they are, somebody must say.
 _LARGEST_GUESSED, _SMALLEST_GUESSED = 100.0, 2 * np.pi
@@ -73,10 +79,10 @@ RAY_FIELDS = {
 
 def write_measurements(
     path: str | os.PathLike[str],
-    measurements: Measurements,
+    measurements: Measurements | Sequence[Measurements],
     attributes: Mapping[str, Any] | None = None,
     settings: Mapping[str, Any] | None = None,
-    cloud: tuple[Grid, np.ndarray, np.ndarray | None] | None = None,
+    cloud: tuple[Grid, Any, np.ndarray | None] | None = None,
 ) -> None:
     """Writes `measurements_dataset` into a netCDF file.
 
@@ -93,10 +99,10 @@ def write_measurements(
 
 
 def measurements_dataset(
-    measurements: Measurements,
+    measurements: Measurements | Sequence[Measurements],
     attributes: Mapping[str, Any] | None = None,
     settings: Mapping[str, Any] | None = None,
-    cloud: tuple[Grid, np.ndarray, np.ndarray | None] | None = None,
+    cloud: tuple[Grid, Any, np.ndarray | None] | None = None,
     name: str = "the dataset",
 ) -> xr.Dataset:
     """Images with the views that they were taken from.
@@ -105,21 +111,47 @@ def measurements_dataset(
     with NaN to the largest image, and NaN in invalid pixels, with `image_height` and `image_width` (view); `view_type`
     and every field of the views (view) or (view, axis), NaN where a view has no such field. Views
     that are lists of rays have `ray_origin` and `ray_direction` (ray, axis), the rays of all of
-    them one after the other.
+    them one after the other. A coordinate `wavelength` (nm) where it is known; of several, the radiances and the
+    extinction have a dimension of it, the first.
 
     Parameters
     ----------
-    measurements : images and views
+    measurements : images and views; several, of the same views, go into one file by their wavelengths
     attributes : text or numbers; mappings are stored as JSON
-    settings : of the run that made the images, stored as the JSON attribute `settings`
-    cloud : grid, extinction (km^-1) and effective radius (um, or None) to keep beside the images: what they
-        were rendered from, or what was recovered from them
+    settings : of the run that made the images, stored as the JSON attribute `settings`; with several wavelengths
+        `scenes` is a list of as many
+    cloud : grid, extinction (km^-1; one for each wavelength) and effective radius (um, or None) to keep beside the
+        images: what they were rendered from, or what was recovered from them
     name : what errors call it
 
     Raises
     ------
-    DataError : no view; as `extinction_dataset`
+    DataError : no view; images without a wavelength, of wavelengths that do not increase, or of other views beside
+        others; as `extinction_dataset`
     """
+    if isinstance(measurements, Measurements):
+        return _dataset(measurements, attributes, settings, cloud, name)
+    if not measurements:
+        raise DataError(f"{name}: there are no images to write")
+    first = measurements[0]
+    if any(_of_views(one) != _of_views(first) for one in measurements):
+        raise DataError(f"{name}: images of several wavelengths in one file must have the same views")
+    datasets = [
+        _dataset(one, attributes, settings, None if cloud is None else (cloud[0], cloud[1][n], cloud[2]), name)
+        for n, one in enumerate(measurements)
+    ]
+    changing = ("radiance", "radiance_standard_error", "extinction")
+    return stacked(name, datasets, [one.wavelength for one in measurements], changing)
+
+
+def _dataset(
+    measurements: Measurements,
+    attributes: Mapping[str, Any] | None,
+    settings: Mapping[str, Any] | None,
+    cloud: tuple[Grid, np.ndarray, np.ndarray | None] | None,
+    name: str,
+) -> xr.Dataset:
+    """Of one wavelength."""
     import xarray as xr
 
     views = measurements.views
@@ -158,11 +190,12 @@ def measurements_dataset(
     coordinates: dict[str, Any] = {"component": component_coordinate()}
     for key, count in (("view", len(views)), ("row", rows), ("column", columns)):
         coordinates[key] = (key, np.arange(count, dtype=np.int32), {"units": "1", "long_name": f"{key}, from 0"})
-    if any(measurements.calibration_errors):
-        long_name = "standard error of a view's gain, common to all of its pixels"
-        variables["calibration_error"] = (
-            "view", np.array(measurements.calibration_errors, float), {"units": "1", "long_name": long_name}
-        )  # fmt: skip
+    if measurements.wavelength is not None:
+        coordinates[WAVELENGTH] = wavelength_coordinate(measurements.wavelength)
+    for name_of_error, (field, unit, long_name) in ERRORS_OF_VIEWS.items():
+        if any(getattr(measurements, field)):
+            described = {"units": unit, "long_name": f"{long_name}, common to all of its pixels"}
+            variables[name_of_error] = ("view", np.array(getattr(measurements, field), float), described)
     if cloud is not None:
         of_cloud = extinction_variables(name, *cloud)
         variables.update(of_cloud[0])
@@ -173,20 +206,27 @@ def measurements_dataset(
     return xr.Dataset(variables, coordinates, described)
 
 
-def read_measurements(source: Source) -> Measurements:
+def read_measurements(source: Source, wavelength: float | None = None) -> Measurements:
     """Reads what `write_measurements` wrote, or `measurements_dataset` made: the same images, the same views.
 
     Pixels are bad whose radiance is missing (NaN, masked, a fill value, outside of its valid range), or where a
-    variable `valid` (view, row, column), which a file may have, is 0 or missing. Another that it may have is
-    `calibration_error` (view), relative. Units are converted; coordinates `row`, `column` and `axis` say in which order
-    these come.
+    variable `valid` (view, row, column), which a file may have, is 0 or missing. Others that it may have are standard
+    errors of views: `calibration_error` (view), relative, `pointing_error` and `position_error` (view), with units.
+    Units are converted; coordinates `row`, `column` and `axis` say in which order these come.
+
+    Parameters
+    ----------
+    source : a file, or a dataset
+    wavelength : nm, which images, where the file holds those of several
 
     Raises
     ------
-    DataError : no such file, not netCDF, cut short; missing variables, other dimensions or
-        units; images that are infinite, far below zero, or bad in all pixels; views that are not possible
+    DataError : no such file, not netCDF, cut short; several wavelengths of which none is chosen, or not this one;
+        missing variables, other dimensions or units; images that are infinite, far below zero, or bad in all pixels;
+        views that are not possible
     """
-    path, dataset = name_of(source), load_dataset(source)
+    path = name_of(source)
+    dataset = at_wavelength(path, load_dataset(source), wavelength)
     for dimension in ("row", "column"):
         dataset = in_order(path, dataset, dimension)
     dataset = components_in_order(path, dataset)
@@ -215,10 +255,6 @@ def read_measurements(source: Source) -> Measurements:
                 f"but a radiance at row {row}, column {column}: correct them, or set what lies beyond to NaN"
             )
     views = _views(path, dataset, heights, widths)
-    gains: tuple[float, ...] = ()
-    if "calibration_error" in dataset.variables:
-        gain = number_variable(path, dataset, "calibration_error", ("view",))
-        gains = tuple(float(value) for value in gain.values.astype(np.float64) * unit_factor(path, gain, "1"))
     _refuse_unlikely(path, radiance.values, error.values)
     shapes = [(slice(0, int(height)), slice(0, int(width))) for height, width in zip(heights, widths)]
     try:
@@ -226,10 +262,30 @@ def read_measurements(source: Source) -> Measurements:
             views,
             tuple(image[shape].astype(np.float64) for image, shape in zip(radiance.values, shapes)),
             tuple(image[shape].astype(np.float64) for image, shape in zip(error.values, shapes)),
-            gains,
+            wavelength=next(iter(wavelengths_of(path, dataset)), None),
+            **_errors_of_views(path, dataset),
         )
     except DataError as wrong:
         raise DataError(f"{path}: {wrong}") from None
+
+
+def _of_views(measurements: Measurements) -> tuple[Any, ...]:
+    """The views, and what is known of them as wholes."""
+    return measurements.views, *(getattr(measurements, field) for field, *_ in ERRORS_OF_VIEWS.values())
+
+
+def _errors_of_views(path: Any, dataset: xr.Dataset) -> dict[str, tuple[float, ...]]:
+    """The standard errors that are common to views' pixels, by the fields of `Measurements`."""
+    errors = {}
+    for name, (field, unit, _) in ERRORS_OF_VIEWS.items():
+        if name not in dataset.variables:
+            continue
+        variable = number_variable(path, dataset, name, ("view",))
+        if unit != "1" and "units" not in variable.attrs:
+            raise DataError(f"{path}: {name} has no units: set its attribute units, for instance to {unit}")
+        values = variable.values.astype(np.float64) * unit_factor(path, variable, unit)
+        errors[field] = tuple(map(float, values))
+    return errors
 
 
 def _radiances(path: Any, dataset: xr.Dataset, name: str) -> xr.DataArray:
@@ -293,64 +349,6 @@ def _refuse_unlikely(path: Any, radiance: np.ndarray, error: np.ndarray) -> None
             f"{int(wrong.sum()) - 1} more are like it), which is no noise: if it marks invalid pixels, set them to NaN "
             "or say so with the attribute _FillValue"
         )
-
-
-def read_settings(path: str | os.PathLike[str], required: bool = True) -> dict[str, Any]:
-    """The settings that were written with a file of measurements.
-
-    Parameters
-    ----------
-    path : of the file
-    required : whether a file without any, from elsewhere, is refused; otherwise it has an empty table
-
-    Raises
-    ------
-    DataError : no such file, not netCDF; no attribute `settings`, or it is not a JSON table
-    SettingsError : a number in it cannot be
-    """
-    text = load_dataset(path).attrs.get("settings")
-    if text is None and not required:
-        return {}
-    if text is None:
-        raise DataError(f"{path}: no attribute settings: the file was written without them")
-    try:
-        settings = json.loads(text)
-    except (TypeError, ValueError, RecursionError):
-        settings = None
-    if not isinstance(settings, dict):
-        raise DataError(f"{path}: the attribute settings is not a JSON table")
-    _check_settings(path, settings)
-    return settings
-
-
-@dataclass(frozen=True, config=ConfigDict(strict=True, extra="ignore"))
-class _StoredNumbers:
-    """What files keep of how they were made, beside the tables that have models of their own.
-
-    `iteration` is the random numbers' stream: files keep the name that they have always had.
-    """
-
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
-    samples: Annotated[int, Field(ge=1, lt=2**31)] = 1
-    iteration: Annotated[int, Field(ge=0, lt=2**32)] = 0
-    target_error: Annotated[float, Field(gt=0, lt=10)] = 1.0
-    photons: Annotated[float, Field(ge=1, le=1e15)] = 1.0
-    cloud_file: str = ""
-
-
-def _check_settings(path: Any, settings: dict[str, Any]) -> None:
-    """Checks what is stored as it would be in a settings file. SettingsError names the key."""
-    known = {name: value for name, value in settings.items() if name in _StoredNumbers.__dataclass_fields__}
-    try:
-        _StoredNumbers(**known)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"][:1])
-        shown = repr(known.get(key))[:60]
-        raise SettingsError(
-            f"{path}: its attribute settings stores {key} = {shown}: "
-            f"{first['msg'].replace('Input should be', 'it must be')}; render or reconstruct it again"
-        ) from None
 
 
 def _ray_variables(views: Sequence[RayView]) -> dict[str, Any]:

@@ -6,13 +6,14 @@ xarray and the netCDF library are imported where they are used: importing this p
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cloudtomo_cl.errors import DataError, InvalidSettingError
 from cloudtomo_cl.files.netcdf import factor_of, file_attributes, load_dataset, netcdf_errors, number_variable
+from cloudtomo_cl.files.wavelengths import WAVELENGTH, at_wavelength, is_same, stacked, wavelengths_of
 from cloudtomo_cl.files.whole import written_whole
 from cloudtomo_cl.scene.droplets import DropletTable
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
@@ -27,10 +28,15 @@ _NORMALISATION_NAMES = ("normalisation", "normalization")
 _NORMALISATIONS = {"1": 1.0, "4 pi": 4 * np.pi, "4pi": 4 * np.pi, "4*pi": 4 * np.pi}
 # The first and the last angle may miss 0 and 180 degrees by this much: single precision, in radians.
 _ANGLE_ROUNDING = 1e-4
+# The refractive index, an attribute of tables of one wavelength and a variable of those of several.
+_INDEX = {
+    "refractive_index_real": "real part of the droplets' refractive index",
+    "refractive_index_imag": "imaginary part of the droplets' refractive index, which absorbs",
+}
 _NUMBERS_OF_A_TABLE = ("wavelength_nm", "effective_variance", "refractive_index_real", "refractive_index_imag")
 
 
-def read_phase_function(path: str | os.PathLike[str]) -> TabulatedPhaseFunction:
+def read_phase_function(path: str | os.PathLike[str], wavelength: float | None = None) -> TabulatedPhaseFunction:
     """Reads a phase function from a netCDF file.
 
     Variables: `angle` (degree, or radian), rising from 0 to 180 degrees or falling;
@@ -38,28 +44,38 @@ def read_phase_function(path: str | os.PathLike[str]) -> TabulatedPhaseFunction:
     with an attribute `normalisation`, the integral over the sphere (a number, or "4 pi");
     `effective_radius` (um, or m); optional `single_scattering_albedo` (effective_radius).
 
+    Parameters
+    ----------
+    path : of the file
+    wavelength : nm, which of the wavelengths that the file has; one that does not say its own is taken as it is
+
     Raises
     ------
-    DataError : no such file, not netCDF, cut short; missing variables, other dimensions or units;
+    DataError : no such file, not netCDF, cut short; several wavelengths of which none is chosen, or another; missing
+        variables, other dimensions or units;
         a table that TabulatedPhaseFunction does not take, for instance of another normalisation
     """
-    return _phase_function(path, load_dataset(path))
+    return _phase_function(path, _at(path, wavelength))
 
 
-def read_droplet_table(path: str | os.PathLike[str]) -> DropletTable:
+def read_droplet_table(path: str | os.PathLike[str], wavelength: float | None = None) -> DropletTable:
     """Reads what `cloudtomo mie` writes: phase functions and what else Mie's theory tells.
+
+    Parameters
+    ----------
+    path, wavelength : as in `read_phase_function`
 
     Raises
     ------
     DataError : as `read_phase_function`; no `extinction_efficiency`, or attributes are missing
     """
-    dataset = load_dataset(path)
+    dataset = _at(path, wavelength)
     function = _phase_function(path, dataset)
     efficiency = _numbers(path, dataset, "extinction_efficiency", ("effective_radius",), "1")
     numbers = {}
     for name in _NUMBERS_OF_A_TABLE:
         try:
-            numbers[name] = float(dataset.attrs[name])
+            numbers[name] = float(dataset.attrs[name] if name in dataset.attrs else dataset[name])
         except (KeyError, TypeError, ValueError):
             raise DataError(
                 f"{path}: no number in the attribute {name}: make the table again with cloudtomo mie"
@@ -67,9 +83,21 @@ def read_droplet_table(path: str | os.PathLike[str]) -> DropletTable:
     return DropletTable(function, tuple(efficiency.tolist()), **numbers)
 
 
+def _at(path: Any, wavelength: float | None) -> xr.Dataset:
+    """What a file of one or several wavelengths has of one; with one, its number is an attribute."""
+    dataset = load_dataset(path)
+    if WAVELENGTH in dataset.variables:
+        dataset = at_wavelength(path, dataset, wavelength)
+        return dataset.assign_attrs(wavelength_nm=wavelengths_of(path, dataset)[0])
+    alone = dataset.attrs.get("wavelength_nm")
+    if wavelength is not None and isinstance(alone, (int, float, np.number)) and not is_same(float(alone), wavelength):
+        raise DataError(f"{path}: has no {wavelength:g} nm: it holds {alone:g} nm")
+    return dataset
+
+
 def write_phase_function(
     path: str | os.PathLike[str],
-    table: TabulatedPhaseFunction | DropletTable,
+    table: TabulatedPhaseFunction | DropletTable | Sequence[DropletTable],
     attributes: Mapping[str, Any] | None = None,
 ) -> None:
     """Writes phase functions as `read_phase_function` reads them, in double precision.
@@ -77,13 +105,45 @@ def write_phase_function(
     Parameters
     ----------
     path : of the file; it is replaced whole or not at all
-    table : phase functions alone, or with all that Mie's theory tells of the droplets
+    table : phase functions alone, or with all that Mie's theory tells of the droplets; or several of these, of
+        different wavelengths and the same angles, radii and variance, as `droplet_tables` makes them
     attributes : of the file, text or numbers; mappings are stored as JSON
 
     Raises
     ------
-    DataError : the file cannot be written
+    DataError : the file cannot be written; tables that do not go into one
     """
+    if isinstance(table, (TabulatedPhaseFunction, DropletTable)):
+        dataset = _dataset(table, attributes)
+    else:
+        dataset = _several(path, table, attributes)
+    encoding = {name: {"_FillValue": None} for name in dataset.variables}
+    with written_whole(path) as partial, netcdf_errors():
+        dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
+
+
+def _several(path: Any, tables: Sequence[DropletTable], attributes: Mapping[str, Any] | None) -> xr.Dataset:
+    """Tables by their wavelength; one alone is as ever."""
+    if not tables:
+        raise DataError(f"{path}: there is no table to write")
+    if len(tables) == 1:
+        return _dataset(tables[0], attributes)
+    common = [(t.phase_function.angle, t.phase_function.effective_radius, t.effective_variance) for t in tables]
+    if any(other != common[0] for other in common):
+        raise DataError(f"{path}: tables of one file have the same angles, radii and variance: use droplet_tables")
+    datasets = [_dataset(table, attributes) for table in tables]
+    changing = ("phase_function", "single_scattering_albedo", "extinction_efficiency", "mass_extinction")
+    dataset = stacked(str(path), datasets, [table.wavelength_nm for table in tables], changing)
+    for name, text in _INDEX.items():
+        values = np.array([getattr(table, name) for table in tables])
+        dataset[name] = (WAVELENGTH, values, {"long_name": text, "units": "1"})
+    for name in ("wavelength_nm", *_INDEX):
+        del dataset.attrs[name]
+    return dataset
+
+
+def _dataset(table: TabulatedPhaseFunction | DropletTable, attributes: Mapping[str, Any] | None) -> xr.Dataset:
+    """Of one wavelength."""
     import xarray as xr
 
     function = table.phase_function if isinstance(table, DropletTable) else table
@@ -122,10 +182,7 @@ def write_phase_function(
         mass = described("extinction of a gram of liquid water", "m2 g-1")
         variables["mass_extinction"] = (per_radius, by_radius(table.mass_extinction), mass)
         about.update({name: getattr(table, name) for name in _NUMBERS_OF_A_TABLE})
-    dataset = xr.Dataset(variables, coordinates, about)
-    encoding = {name: {"_FillValue": None} for name in dataset.variables}
-    with written_whole(path) as partial, netcdf_errors():
-        dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
+    return xr.Dataset(variables, coordinates, about)
 
 
 def _phase_function(path: Any, dataset: xr.Dataset) -> TabulatedPhaseFunction:

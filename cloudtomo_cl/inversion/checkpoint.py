@@ -60,6 +60,10 @@ class Checkpoint:
     history: list[dict[str, Any]]
     state: dict[str, np.ndarray]
 
+    def __repr__(self) -> str:
+        where = f"stage {self.stage + 1}, {self.iterations} iterations of it, {self.seconds:.0f} s"
+        return f"Checkpoint({where}, on {self.device}, state: {', '.join(self.state)})"
+
     @property
     def mask(self) -> np.ndarray:
         """bool, on the finest grid"""

@@ -40,8 +40,20 @@ class IterationRecord:
     delta: float | None = None
 
 
-# Units of a history's columns; others have none.
-_UNITS = {"seconds": "s"}
+# A history's columns: unit, and what they are.
+COLUMNS = {
+    "stage": ("1", "which stage"),
+    "stages": ("1", "of how many stages"),
+    "iteration": ("1", "which iteration of the stage"),
+    "iterations": ("1", "of at most how many iterations"),
+    "seconds": ("s", "time since the start of the run, over all resumes"),
+    "paths": ("1", "paths since the start of the run"),
+    "cost": ("1", "data term over the stage's pixels"),
+    "cost_standard_error": ("1", "standard error of the cost"),
+    "prior": ("1", "value of the prior, times the stage's weight"),
+    "epsilon": ("1", "sum of absolute errors over the sum of the true extinction"),
+    "delta": ("1", "relative error of the sum of the extinction"),
+}
 # Lines of a history that are shown at its beginning and its end.
 _SHOWN = 5
 
@@ -123,7 +135,8 @@ class Reconstruction:
             described = {"long_name": "standard error of extinction", "units": "km-1"}
             dataset["extinction_standard_error"] = (WRITTEN_AXES, self.standard_error.T, described)
         for name, column in self.history.columns.items():
-            dataset[f"history_{name}"] = ("step", column, {"long_name": name, "units": _UNITS.get(name, "1")})
+            units, long_name = COLUMNS[name]
+            dataset[f"history_{name}"] = ("step", column, {"long_name": long_name, "units": units})
         return dataset
 
     def _repr_html_(self) -> str:

@@ -398,15 +398,15 @@ def plot_maps(figure: Figure, grid: Grid, recovered: np.ndarray, truth: np.ndarr
     figure.colorbar(image, ax=axes[:, 2], label=EXTINCTION_LABEL, **bars)
 
 
-def save_previews(folder: Path, measurements: Measurements) -> list[Path]:
-    """One PNG for each view, pixel by pixel, on one grey scale from 0 to `radiance_limit`."""
+def save_previews(folder: Path, measurements: Measurements, start: str = "") -> list[Path]:
+    """One PNG for each view, pixel by pixel, on one grey scale from 0 to `radiance_limit`; `start` of their names."""
     from matplotlib.image import imsave
 
     folder.mkdir(parents=True, exist_ok=True)
     white = radiance_limit(measurements)
     paths = []
     for index, image in enumerate(measurements.images):
-        paths.append(folder / f"view_{index}.png")
+        paths.append(folder / f"{start}view_{index}.png")
         with written_whole(paths[-1]) as partial:
             imsave(partial, image, vmin=0.0, vmax=white, cmap=_grey(), origin="upper", format="png")
     return paths

@@ -95,15 +95,55 @@ def extinction_from_water(
     wet = water > 0
     if not (np.isfinite(radius[wet]) & (radius[wet] > 0)).all():
         raise DataError("effective_radius must be finite and greater than 0 micrometres where there is water")
-    efficiency: np.ndarray | float = GEOMETRIC_EXTINCTION_EFFICIENCY
-    if table is not None and wet.any():
-        nodes = table.phase_function.effective_radius
-        if radius[wet].min() < nodes[0] or radius[wet].max() > nodes[-1]:
-            raise DataError(
-                f"effective_radius is {radius[wet].min():g} to {radius[wet].max():g} micrometres, the table has "
-                f"{nodes[0]:g} to {nodes[-1]:g}: make a table of more radii, or limit the radius"
-            )
-        efficiency = np.interp(radius[wet], nodes, table.extinction_efficiency)
+    efficiency = _efficiency(radius[wet], table)
     extinction = np.zeros(water.shape)
     extinction[wet] = water[wet] * _mass_extinction(efficiency, radius[wet]) * _METRES_PER_KILOMETRE
     return extinction
+
+
+def extinction_at(
+    extinction: np.ndarray,
+    effective_radius: np.ndarray | float,
+    table: DropletTable,
+    reference: DropletTable | None = None,
+) -> np.ndarray:
+    """The extinction of the same droplets at another wavelength: in proportion to the extinction efficiency.
+
+    Parameters
+    ----------
+    extinction : km^-1, any shape
+    effective_radius : micrometres, of that shape or a number; where there is no cloud it does not matter
+    table : at the wavelength that is asked for
+    reference : at the wavelength of `extinction`; without one it is in the limit of large droplets, as what
+        `extinction_from_water` makes without a table
+
+    Returns
+    -------
+    extinction : km^-1, of that shape, float64
+
+    Raises
+    ------
+    DataError : a radius that is not positive, or outside of a table, where there is cloud
+    """
+    values, radius = np.broadcast_arrays(
+        *(np.asarray(filled(given), np.float64) for given in (extinction, effective_radius))
+    )
+    cloudy = values > 0
+    if not (np.isfinite(radius[cloudy]) & (radius[cloudy] > 0)).all():
+        raise DataError("effective_radius must be finite and greater than 0 micrometres where there is cloud")
+    changed = values.copy()
+    changed[cloudy] *= _efficiency(radius[cloudy], table) / _efficiency(radius[cloudy], reference)
+    return changed
+
+
+def _efficiency(radius: np.ndarray, table: DropletTable | None) -> np.ndarray | float:
+    """Extinction efficiencies of droplets, linear in the radius; without a table the limit of large ones."""
+    if table is None or not radius.size:
+        return GEOMETRIC_EXTINCTION_EFFICIENCY
+    nodes = table.phase_function.effective_radius
+    if radius.min() < nodes[0] or radius.max() > nodes[-1]:
+        raise DataError(
+            f"effective_radius is {radius.min():g} to {radius.max():g} micrometres, the table has "
+            f"{nodes[0]:g} to {nodes[-1]:g}: make a table of more radii, or limit the radius"
+        )
+    return np.interp(radius, nodes, table.extinction_efficiency)

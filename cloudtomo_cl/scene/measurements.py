@@ -15,6 +15,7 @@ from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.grid import Grid, resample
 from cloudtomo_cl.scene.pixel_errors import pooled_standard_errors
 from cloudtomo_cl.scene.pointing import motion_errors
+from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.sensors import RayView, View
 
 # Share of a larger pixel that must not be bad: half, up to rounding.
@@ -30,6 +31,7 @@ _ERRORS_OF_VIEWS = {
 class _Renders(Protocol):
     """What makes images of a rendering: a `RadianceOperator`, which lies in a higher room."""
 
+    scene: Scene
     views: tuple[View, ...]
 
     def images(self, values: np.ndarray, /) -> list[np.ndarray]: ...
@@ -50,6 +52,7 @@ class Measurements:
     pointing_errors : standard errors of the directions that the cameras look in and of the images' rotation, degrees;
         none: all exact
     position_errors : standard errors of the cameras' places, or of where orthographic images lie, km; none: all exact
+    wavelength : nm in air, if it is known
     """
 
     views: tuple[View, ...]
@@ -58,6 +61,7 @@ class Measurements:
     calibration_errors: tuple[float, ...] = ()
     pointing_errors: tuple[float, ...] = ()
     position_errors: tuple[float, ...] = ()
+    wavelength: float | None = None
 
     @classmethod
     def rendered(cls, operator: _Renders, rendering: Any) -> Measurements:
@@ -68,7 +72,8 @@ class Measurements:
         """
         images, errors = (operator.images(values) for values in (rendering.mean, rendering.standard_error))
         samples = operator.images(np.broadcast_to(np.asarray(rendering.samples, np.float64), rendering.mean.shape))
-        return cls(operator.views, tuple(images), tuple(map(pooled_standard_errors, errors, samples)))
+        pooled = tuple(map(pooled_standard_errors, errors, samples))
+        return cls(operator.views, tuple(images), pooled, wavelength=operator.scene.wavelength)
 
     def __post_init__(self) -> None:
         for name in ("images", "standard_errors"):
@@ -102,6 +107,8 @@ class Measurements:
             for index, value in enumerate(values):
                 if not 0 <= value < below:
                     raise DataError(f"measurements: {name} of view {index} is {value}: {allowed}")
+        if self.wavelength is not None and not 0 < self.wavelength < np.inf:
+            raise DataError(f"measurements: wavelength is {self.wavelength}: it must be above 0 nm")
         for index, error in enumerate(self.standard_errors):
             if (error < 0).any():
                 raise DataError(f"measurements: standard_errors of view {index} are negative: they must be at least 0")
@@ -113,12 +120,16 @@ class Measurements:
         most = max((float(np.nanmax(image)) for image in self.images), default=np.nan)
         radiances = f"radiance {least:.4g} to {most:.4g} W m^-2 sr^-1"
         bad = self.invalid_pixels
-        return f"Measurements({len(self.views)} views of {pixels} pixels, {radiances}{f', {bad} bad' if bad else ''})"
+        light = "" if self.wavelength is None else f", {self.wavelength:g} nm"
+        about = f"{len(self.views)} views of {pixels} pixels{light}, {radiances}"
+        return f"Measurements({about}{f', {bad} bad' if bad else ''})"
 
     def _repr_html_(self) -> str:
         facts = {"views": str(len(self.views)), "pixels": str(sum(image.size for image in self.images))}
         facts["radiance"] = f"up to {max(float(np.nanmax(image)) for image in self.images):.4g} W m^-2 sr^-1"
         facts["invalid pixels"] = str(self.invalid_pixels)
+        if self.wavelength is not None:
+            facts["wavelength"] = f"{self.wavelength:g} nm"
         return card("Measurements", facts, [(f"view {n}", image) for n, image in enumerate(self.images)])
 
     @property

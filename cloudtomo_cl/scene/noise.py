@@ -58,13 +58,13 @@ class Noise:
         """The full well."""
         return self.full_well if self.full_well is not None else (self.signal_to_noise or 1.0) ** 2
 
-    def added_to(self, measurements: Measurements, seed: int = 0) -> Measurements:
+    def added_to(self, measurements: Measurements, seed: int = 0, stream: int = 0) -> Measurements:
         """The same images as such a camera measures them.
 
         The standard errors are those of the images as they are, and of the noise at their radiance, together; the
         calibration error, which all pixels of a view share, goes to `calibration_errors`. Invalid pixels stay bad.
 
-        seed : of the noise; equal seeds give equal noise
+        seed, stream : of the noise; equal ones give equal noise
 
         Raises
         ------
@@ -79,7 +79,7 @@ class Noise:
         step = 0.0 if self.bits is None else self.electrons / 2**self.bits
         images, errors = [], []
         for index, (image, error) in enumerate(zip(measurements.images, measurements.standard_errors)):
-            random = np.random.default_rng([seed, index])
+            random = np.random.default_rng([seed, index, stream] if stream else [seed, index])
             gain = 1 + self.calibration_error * random.standard_normal()
             light = np.maximum(np.nan_to_num(image), 0.0) / unit
             # What lies far beyond the well is saturated, however many electrons there were.

@@ -199,7 +199,13 @@ class Boundary:
 @answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Scene:
-    """Everything but the extinction and the sensors."""
+    """Everything but the extinction and the sensors, at one wavelength.
+
+    Attributes
+    ----------
+    wavelength : nm in air, at which the optics are as they are here, if it is known; images get it as a coordinate,
+        and nothing is computed from it
+    """
 
     grid: Grid
     sun: Sun
@@ -207,6 +213,7 @@ class Scene:
     air: Air | None = None
     surface: Surface = Surface()
     boundary: Boundary = Boundary()
+    wavelength: Positive | None = None
 
     def air_layers(self) -> tuple[np.ndarray, np.ndarray]:
         """`Air.layers` on the scene's grid; without air they hold nothing."""

@@ -12,20 +12,22 @@ from pydantic_core import PydanticSerializationError, to_json
 
 from cloudtomo_cl.errors import SettingsError
 from cloudtomo_cl.files.extinction import read_effective_radius, read_extinction
-from cloudtomo_cl.files.measurements import read_settings
+from cloudtomo_cl.files.stored_settings import read_settings
 from cloudtomo_cl.messages import error_text, lines_of
 from cloudtomo_cl.scene.noise import Noise
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.settings.overrides import with_overrides
 
 
-def kept_scene(path: Path, overrides: Sequence[str]) -> tuple[Scene, np.ndarray, np.ndarray | None, dict[str, Any]]:
-    """Scene, extinction, effective radius and settings that a file of images or fluxes keeps."""
-    stored = read_settings(path)
+def kept_scene(
+    path: Path, overrides: Sequence[str], wavelength: float | None = None
+) -> tuple[Scene, np.ndarray, np.ndarray | None, dict[str, Any]]:
+    """Scene, extinction, effective radius and settings that a file of images or fluxes keeps, at a wavelength."""
+    stored = read_settings(path, wavelength=wavelength)
     if not isinstance(stored.get("scene"), dict):
         raise SettingsError(f"{path}: keeps no scene to render again: give a scene file, or images of cloudtomo render")
     described = scene_of_tables(path, with_overrides(stored["scene"], overrides))
-    _, extinction = read_extinction(path)
+    _, extinction = read_extinction(path, wavelength)
     return described, extinction, read_effective_radius(path), {"cloud_file": path.name, **stored}
 
 
@@ -62,4 +64,7 @@ def stored_noise(noise: Noise) -> dict[str, Any]:
 
 def stored_scene(scene: Scene) -> dict[str, Any]:
     """A scene in the types of JSON: what a measurements file keeps of it."""
-    return TypeAdapter(Scene).dump_python(scene, mode="json")
+    tables: dict[str, Any] = TypeAdapter(Scene).dump_python(scene, mode="json")
+    if scene.wavelength is None:
+        del tables["wavelength"]  # as before there were any
+    return tables

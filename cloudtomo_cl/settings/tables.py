@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -22,6 +22,7 @@ from pydantic import (
     Field,
     ValidationError,
     ValidationInfo,
+    model_validator,
 )
 from pydantic.dataclasses import dataclass
 
@@ -38,7 +39,7 @@ from cloudtomo_cl.scene.formations import RingOfViews, StringOfScans, StringOfVi
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.noise import Noise
 from cloudtomo_cl.scene.phase import HenyeyGreenstein, PhaseFunction
-from cloudtomo_cl.scene.scene import Air, Boundary, Cloud, NotNegative, Positive, Scene, Sun, Surface
+from cloudtomo_cl.scene.scene import Air, Boundary, Cloud, Fraction, NotNegative, Positive, Scene, Sun, Surface
 from cloudtomo_cl.scene.sensors import (
     OrthographicView,
     PerspectiveView,
@@ -81,10 +82,23 @@ class File:
 
     Attributes
     ----------
-    file : netCDF; images as `cloudtomo render` writes them, or extinction(x, y, z)
+    file : netCDF with extinction(x, y, z), also among images as `cloudtomo render` writes them
     """
 
     file: InputFile
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class ImageFile(File):
+    """The images to recover the cloud from.
+
+    Attributes
+    ----------
+    file : netCDF; images as `cloudtomo render` writes them
+    wavelength : nm, which images, where the file holds those at several wavelengths
+    """
+
+    wavelength: Positive | None = None
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
@@ -128,7 +142,7 @@ def _phase_function_file(value: Any, info: ValidationInfo) -> Any:
         return value
     if set(value) - {"type", "file"} or not isinstance(value["file"], str):
         raise ValueError('a phase function from a file is { type = "table", file = "NAME" }, with no other key')
-    return read_phase_function(_beside_settings(Path(value["file"]), info))
+    return read_phase_function(_beside_settings(Path(value["file"]), info), (info.context or {}).get("wavelength"))
 
 
 @dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
@@ -199,6 +213,43 @@ class Run:
     uncertainty: Annotated[int, Field(ge=0, le=10_000)] = DRAWS
 
 
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class Spectrum:
+    """Wavelengths: the scene is rendered at each, into one file.
+
+    Attributes
+    ----------
+    wavelengths : nm, increasing. With several, the phase function must be a table that has them all
+        (`cloudtomo mie --wavelength 672 2130`): from it follow the droplets' extinction and albedo at each
+    irradiance : W m^-2, of the sun at each wavelength; in place of that in `[sun]`
+    surface_albedo : at each wavelength; in place of that in `[surface]`
+    reference : nm, at which the cloud's file has its extinction, where the file does not say it; by default the first
+    """
+
+    wavelengths: Annotated[tuple[Positive, ...], Field(min_length=1)]
+    irradiance: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
+    surface_albedo: Annotated[tuple[Fraction, ...], Field(min_length=1)] | None = None
+    reference: Positive | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Spectrum:
+        if any(later <= one for one, later in zip(self.wavelengths, self.wavelengths[1:])):
+            raise ValueError("wavelengths must increase, in nm")
+        for name in ("irradiance", "surface_albedo"):
+            values = getattr(self, name)
+            if values is not None and len(values) != len(self.wavelengths):
+                raise ValueError(f"{name} has {len(values)} entries for {len(self.wavelengths)} wavelengths")
+        return self
+
+    def at(self, scene: Scene, index: int) -> Scene:
+        """The scene with what `index`, that of a wavelength, says of it."""
+        if self.irradiance is not None:
+            scene = replace(scene, sun=replace(scene.sun, irradiance=self.irradiance[index]))
+        if self.surface_albedo is not None:
+            scene = replace(scene, surface=Surface(self.surface_albedo[index]))
+        return replace(scene, wavelength=self.wavelengths[index])
+
+
 class RenderSettings(BaseModel):
     """A scene file: what `cloudtomo render` reads."""
 
@@ -207,6 +258,7 @@ class RenderSettings(BaseModel):
     cloud: CloudFile
     sun: Sun
     view: ViewTables
+    spectrum: Spectrum | None = None
     air: Air | None = None
     surface: Surface = Surface()
     boundary: Boundary = Boundary()
@@ -231,7 +283,7 @@ class ReconstructSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    measurements: File
+    measurements: ImageFile
     truth: File | None = None
     grid: Grid | None = None
     sun: Sun | None = None
@@ -272,19 +324,47 @@ class ReconstructSettings(BaseModel):
 Settings = TypeVar("Settings", RenderSettings, FluxSettings, ReconstructSettings)
 
 
-def read_render_settings(path: str | Path, overrides: Sequence[str] = ()) -> RenderSettings:
+def read_render_settings(
+    path: str | Path, overrides: Sequence[str] = (), wavelength: float | None = None
+) -> RenderSettings:
     """Reads a scene file. SettingsError names the file, the key, what is wrong and what is allowed.
 
-    `overrides` are `key=value`, see `overrides.with_overrides`.
+    `overrides` are `key=value`, see `overrides.with_overrides`. `wavelength` (nm) is one of its spectrum's, by default
+    the first: the phase function is the file's at this one, and so is the standard atmosphere's air.
     """
-    path = Path(path)
-    return _check(path, with_overrides(_read_toml(path), overrides), RenderSettings)
+    return _scene_settings(Path(path), overrides, wavelength, RenderSettings)
 
 
-def read_flux_settings(path: str | Path, overrides: Sequence[str] = ()) -> FluxSettings:
+def read_flux_settings(
+    path: str | Path, overrides: Sequence[str] = (), wavelength: float | None = None
+) -> FluxSettings:
     """Reads a scene file, which needs no views; as `read_render_settings`."""
-    path = Path(path)
-    return _check(path, with_overrides(_read_toml(path), overrides), FluxSettings)
+    return _scene_settings(Path(path), overrides, wavelength, FluxSettings)
+
+
+def read_tables(path: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """The tables of a settings file, as they stand there but for the overrides. SettingsError if it is not TOML."""
+    return with_overrides(_read_toml(path), overrides)
+
+
+def _scene_settings(path: Path, overrides: Sequence[str], wavelength: float | None, model: type[Settings]) -> Settings:
+    tables = read_tables(path, overrides)
+    spectrum = tables.get("spectrum")
+    wavelengths = spectrum.get("wavelengths") if isinstance(spectrum, dict) else None
+    if not isinstance(wavelengths, list) or not wavelengths or not isinstance(wavelengths[0], (int, float)):
+        return _check(path, tables, model)  # which answers what is wrong with a spectrum
+    wavelength = wavelengths[0] if wavelength is None else wavelength
+    air = tables.get("air")
+    if isinstance(air, dict) and "wavelength" in air:
+        raise SettingsError(f"{path}: air.wavelength: [spectrum] says the wavelengths, leave it out")
+    if isinstance(air, dict) and "extinction" in air and len(wavelengths) > 1:
+        raise SettingsError(
+            f"{path}: air.extinction is that of one wavelength, and there are {len(wavelengths)}: leave it out, and "
+            "air is that of a standard atmosphere at each"
+        )
+    if isinstance(air, dict) and "extinction" not in air:
+        air["wavelength"] = wavelength
+    return _check(path, tables, model, wavelength)
 
 
 def read_reconstruct_settings(path: str | Path, overrides: Sequence[str] = ()) -> ReconstructSettings:
@@ -296,7 +376,10 @@ def read_reconstruct_settings(path: str | Path, overrides: Sequence[str] = ()) -
             f"{path}: cloud.file is not read by a reconstruction; to compare with a known cloud write [truth] file"
         )
     refuse_old_keys(path, tables)
-    return _check(path, tables, ReconstructSettings)
+    images = tables.get("measurements")
+    wavelength = images.get("wavelength") if isinstance(images, dict) else None
+    known = isinstance(wavelength, (int, float)) and not isinstance(wavelength, bool)
+    return _check(path, tables, ReconstructSettings, wavelength if known else None)
 
 
 def repeated_reconstruct_settings(
@@ -329,13 +412,14 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise SettingsError(f"{path}: is not TOML: {str(error).partition(';')[0]}") from None
 
 
-def _check(path: Path, tables: dict[str, Any], model: type[Settings]) -> Settings:
+def _check(path: Path, tables: dict[str, Any], model: type[Settings], wavelength: float | None = None) -> Settings:
     # Dates, which no key takes, become text and are refused as such.
     try:
         text = json.dumps(tables, default=str)
     except (RecursionError, ValueError) as error:
         raise SettingsError(f"{path}: is no settings file: {error}") from None
     try:
-        return model.model_validate_json(text, strict=True, context={"folder": path.parent})
+        context = {"folder": path.parent, "wavelength": wavelength}
+        return model.model_validate_json(text, strict=True, context=context)
     except ValidationError as error:
         raise SettingsError(error_text(str(path), lines_of(error, tables, model.model_json_schema()))) from None

@@ -55,6 +55,15 @@ def test_scipy_example_comes_closer_to_the_cloud(capsys):
     assert float(end) < 0.8 < float(start)
 
 
+def test_wavelengths_go_into_one_file(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("miepython", reason="Mie tables need miepython")
+    monkeypatch.chdir(tmp_path)
+    page = README.parent / "docs" / "how-to" / "wavelengths.md"
+    (example,) = examples(page)
+    exec(compile(example, str(page), "exec"), {})
+    assert capsys.readouterr().out.startswith("(865.0, 2130.0) Measurements(1 views of 8 x 8 pixels, 2130 nm, ")
+
+
 @pytest.fixture(scope="module")
 def own_images():
     names = {}

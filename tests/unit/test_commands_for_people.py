@@ -79,6 +79,8 @@ def test_a_run_keeps_one_seed_and_counts_as_the_screen_does(folder, capsys):
     header, first, *_ = [line.split(",") for line in (folder / "run" / "history.csv").read_text().splitlines()]
     line = dict(zip(header, first))
     assert (line["stage"], line["iteration"]) == ("1", "1")
+    assert list(settings["history"]) == header and settings["history"]["seconds"]["units"] == "s"
+    assert all(column["units"] and column["long_name"] for column in settings["history"].values())
     assert f"stage 1/{line['stages']}  iteration    1" in capsys.readouterr().out
 
 

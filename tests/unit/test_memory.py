@@ -81,19 +81,52 @@ def test_free_memory_is_that_of_this_machine():
     assert 10**7 < memory.free_memory() < 10**14
 
 
-def test_a_control_groups_limit_counts(monkeypatch, tmp_path):
-    (tmp_path / "max").write_text("3000000\n")
-    (tmp_path / "current").write_text("1000000\n")
-    files = (str(tmp_path / "max"), str(tmp_path / "current"))
-    monkeypatch.setattr(memory, "_CONTROL_GROUPS", (files, ("/nowhere", "/nowhere")))
+def control_group(folder, most, taken, idle=None, names=("memory.max", "memory.current", "inactive_file")):
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / names[0]).write_text(f"{most}\n")
+    (folder / names[1]).write_text(f"{taken}\n")
+    if idle is not None:
+        (folder / "memory.stat").write_text(f"anon 5\n{names[2]} {idle}\n")
+
+
+@pytest.fixture
+def groups(monkeypatch, tmp_path):
+    """Control groups of our own; a process in the root, until it is said otherwise."""
+    monkeypatch.setattr(memory, "_CONTROL_GROUPS", tmp_path / "cgroup")
+    monkeypatch.setattr(memory, "_OWN_GROUPS", tmp_path / "own")
+    return tmp_path
+
+
+def test_a_control_groups_limit_counts(groups):
+    control_group(groups / "cgroup", 3_000_000, 1_000_000)
     assert memory.free_memory() == 2_000_000
 
 
-def test_a_control_group_without_a_limit_counts_for_nothing(monkeypatch, tmp_path):
-    (tmp_path / "max").write_text("max\n")
-    (tmp_path / "current").write_text("1000000\n")
-    monkeypatch.setattr(memory, "_CONTROL_GROUPS", ((str(tmp_path / "max"), str(tmp_path / "current")),))
+def test_copies_of_files_that_a_control_group_holds_are_free(groups):
+    control_group(groups / "cgroup", 3_000_000, 2_500_000, idle=1_500_000)
+    assert memory.free_memory() == 2_000_000
+
+
+def test_a_control_group_without_a_limit_counts_for_nothing(groups):
+    control_group(groups / "cgroup", "max", 1_000_000)
     assert memory.free_memory() > 10**7
+
+
+@pytest.mark.parametrize("above", ["job", "."])
+def test_the_limits_of_a_batch_jobs_own_group_and_of_those_above_count(groups, above):
+    (groups / "own").write_text("0::/job/step\n")
+    control_group(groups / "cgroup" / "job" / "step", "max", 10)
+    control_group(groups / "cgroup" / above, 3_000_000, 1_000_000)
+    control_group(groups / "cgroup" / "other", 1000, 10)
+    assert memory.free_memory() == 2_000_000
+
+
+def test_control_groups_of_version_1_count(groups):
+    (groups / "own").write_text("3:cpuset:/\n2:memory:/job/step\n0::/\n")
+    names = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
+    control_group(groups / "cgroup" / "memory" / "job" / "step", 3_000_000, 1_500_000, 500_000, names)
+    control_group(groups / "cgroup" / "memory", 2**63 - 4096, 10**10, names=names)
+    assert memory.free_memory() == 2_000_000
 
 
 def test_a_limit_of_the_process_counts():

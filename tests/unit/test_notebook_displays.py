@@ -81,6 +81,7 @@ def test_no_word_is_longer_than_a_screen(operator, rendering, result):
     things += [
         ct.Scene(GRID, ct.Sun(3.0), ct.Cloud(phase_function=function)),
         problem.linearise(np.ones(120), samples=8),
+        ct.Checkpoint({}, "CPU", 1, 3, 4.0, [1.0], [{"cost": 1.0}] * 50, {"mask": np.ones(1000, bool)}),
     ]
     for thing in things:
         assert len(repr(thing)) <= SCREEN, (type(thing), len(repr(thing)))
@@ -99,6 +100,7 @@ def test_a_result_becomes_a_dataset(result):
     assert dataset.extinction_standard_error.sel(x=0.55, y=0.05, z=0.15, method="nearest") == pytest.approx(0.7)
     assert np.array_equal(ct.read_extinction(dataset)[1], result.extinction)
     assert all("units" in variable.attrs for variable in dataset.data_vars.values())
+    assert dataset.history_seconds.units == "s" and dataset.history_cost.units == "1"
 
 
 def test_a_history_is_a_table_and_gives_its_columns(result):

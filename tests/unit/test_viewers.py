@@ -57,6 +57,20 @@ def test_a_viewer_gets_the_cloud_upright(tmp_path, vtk, extinction, kind):
     assert at(data, "extinction", (1.05, 2.7, 4.35)) == extinction[0, 3, 4]
 
 
+def test_a_viewer_would_bend_axes_that_are_named(tmp_path, vtk, extinction):
+    """Why x and y have no attribute axis, which the CF checker would like: they are taken for angles."""
+    import netCDF4
+
+    write_extinction(tmp_path / "cloud.nc", GRID, extinction)
+    with netCDF4.Dataset(tmp_path / "cloud.nc", "a") as file:
+        file["x"].axis, file["y"].axis = "X", "Y"
+    reader = vtk["nc"]()
+    reader.SetFileName(str(tmp_path / "cloud.nc"))
+    reader.Update()
+    inset = np.outer(GRID.spacing, [0.5, -0.5]).ravel()
+    assert reader.GetOutput().GetBounds() != pytest.approx(BOUNDS + inset)
+
+
 def test_a_viewer_is_told_the_unit(tmp_path, vtk, extinction):
     write_vti(tmp_path / "cloud.vti", GRID, {"extinction": (extinction, "km-1")})
     reader = vtk["vti"]()
