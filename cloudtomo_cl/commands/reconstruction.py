@@ -301,7 +301,8 @@ def _show_result(job: Job, outcome: Outcome) -> None:
     stopping.check()
     job.say("rendering the images of the recovered cloud ...")
     iteration = len(result.history) + 1
-    write_modelled(job.folder, job.scene, job.measurements, result.extinction, job.device, job.seed, iteration)
+    measurements = replace(job.measurements, views=result.views)
+    write_modelled(job.folder, job.scene, measurements, result.extinction, job.device, job.seed, iteration)
     if job.request.with_report:
         stopping.check()
         job.say(f"drawing figures and {job.folder.report_file} ...")
@@ -330,7 +331,7 @@ def _write_result(job: Job, outcome: Outcome) -> None:
         result.extinction,
         result.mask,
         attributes,
-        job.measurements,
+        replace(job.measurements, views=result.views),
         settings,
         result.standard_error,
     )

@@ -142,9 +142,9 @@ def reconstruct(
         error = _standard_error(problem, solver, state, uncertainty, seed)
     extinction = run.on_finest_grid(problem.on_grid(state.estimate))
     error = None if error is None else run.on_finest_grid(problem.on_grid(error))
-    return Reconstruction(
-        scene.grid, extinction, question.mask, History(run.history), run.stage_ends, error, limit.reached
-    )
+    views = measurements.moved(getattr(state, "motions", None), scene.grid).views
+    history = History(run.history)
+    return Reconstruction(scene.grid, extinction, question.mask, history, run.stage_ends, error, limit.reached, views)
 
 
 @device_errors("the reconstruction")
