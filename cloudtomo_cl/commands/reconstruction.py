@@ -295,6 +295,8 @@ def _show_result(job: Job, outcome: Outcome) -> None:
     last = result.history[-1]
     took = duration(last.seconds)
     job.console.print(f"{last.paths:.3g} paths in {took} on {job.device.name}: {outcome.state}", soft_wrap=True)
+    if result.no_standard_error and job.settings.run.uncertainty:
+        job.say(f"no standard error of the extinction: {result.no_standard_error}")
     if not result.extinction.any():
         job.say("the images leave no cloud: take less noisy ones, or give the prior less weight ([prior])")
         return
@@ -325,6 +327,8 @@ def _write_result(job: Job, outcome: Outcome) -> None:
         "state": outcome.state,
         "iterations": len(result.history),
     }
+    if result.no_standard_error:
+        attributes["no_standard_error"] = result.no_standard_error
     settings = {"scene": stored_scene(job.scene), "reconstruct": job.stored_settings, "seed": job.seed}
     job.folder.write_reconstruction(
         result.grid,

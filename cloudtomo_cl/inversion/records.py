@@ -111,6 +111,7 @@ class Reconstruction:
     standard_error : of the extinction, km^-1, float32, shape of the grid (docs/explanation/uncertainty.md says of
         what); none if it was not asked for, or is not known
     timed_out : whether its time limit ended it
+    no_standard_error : why there is none, in words
     views : as they were found: those of the measurements, moved where their pointing was uncertain
     """
 
@@ -121,6 +122,7 @@ class Reconstruction:
     stage_ends: list[float]
     standard_error: np.ndarray | None = None
     timed_out: bool = False
+    no_standard_error: str = ""
     views: tuple[View, ...] = ()
 
     def __post_init__(self) -> None:
