@@ -262,7 +262,7 @@ def read_measurements(source: Source, wavelength: float | None = None) -> Measur
             tuple(image[shape].astype(np.float64) for image, shape in zip(radiance.values, shapes)),
             tuple(image[shape].astype(np.float64) for image, shape in zip(error.values, shapes)),
             gains,
-            next(iter(wavelengths_of(path, dataset)), None),
+            wavelength=next(iter(wavelengths_of(path, dataset)), None),
         )
     except DataError as wrong:
         raise DataError(f"{path}: {wrong}") from None
