@@ -214,6 +214,18 @@ def test_the_cloud_says_at_which_wavelength_it_is(folder, known, at):
         np.testing.assert_allclose(extinction, EXTINCTION * efficiency / before, rtol=1e-6)
 
 
+def test_a_file_of_images_is_a_cloud_at_each_of_its_wavelengths(folder):
+    ct.write_measurements("images.nc", [RED, INFRARED], cloud=(GRID, [EXTINCTION, 3 * EXTINCTION], None))
+    read = read_scene_file(folder / "scene.toml", ['cloud.file="images.nc"'])
+    for extinction, factor in zip(read.extinctions, (1, 3)):
+        np.testing.assert_array_equal(extinction, factor * EXTINCTION)
+    with pytest.raises(DataError, match="images.nc: has no 865 nm"):
+        read_scene_file(
+            folder / "scene.toml",
+            ['cloud.file="images.nc"', "spectrum.wavelengths=[865.0]", "cloud.phase_function={g=0.8}"],
+        )
+
+
 def test_a_reference_may_be_said_in_the_scene(folder):
     read = read_scene_file(folder / "scene.toml", ["spectrum.reference=2130"])
     np.testing.assert_array_equal(read.extinctions[1], EXTINCTION)
