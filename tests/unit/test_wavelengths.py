@@ -247,6 +247,19 @@ def test_water_is_turned_into_extinction_at_the_wavelength_of_its_table(folder):
         assert ct.read_cloud(kept).wavelength == expected
 
 
+@pytest.mark.parametrize("wavelength", [672, 2130])
+def test_the_command_chooses_a_wavelength_of_the_table(folder, wavelength, capsys):
+    (folder / "water.txt").write_text("# rico\n3 3 3\n0.1 0.1 0.1 0.2 0.3\n1 1 1 0.3 8.0\n1 1 2 0.5 9.0\n")
+    command = "cloud water.txt --droplet-table mie.nc --output water.nc --quiet"
+    assert main(command.split()) == 2 and "--wavelength of cloudtomo cloud" in capsys.readouterr().err
+    assert main(f"{command} --wavelength {wavelength}".split()) == 0
+    assert read_extinction_wavelength("water.nc") == wavelength
+    water = ct.extinction_from_water(0.5, 9.0, ct.read_droplet_table("mie.nc", wavelength))
+    assert ct.read_extinction("water.nc")[1].max() == pytest.approx(float(water), rel=1e-6)
+    assert main("cloud water.txt --wavelength 672 --quiet".split()) == 2
+    assert "--wavelength has no effect: it chooses from a --droplet-table" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [
