@@ -55,6 +55,12 @@ VIEW_FIELDS: dict[str, tuple[tuple[str, ...], str, str]] = {
     "end": (("axis",), "km", "end of the flight track of a push-broom image, at its top"),
     "along_track_angle": ((), "degree", "angle from nadir of a push-broom scanner's look, positive ahead"),
 }
+# Standard errors, each common to all pixels of a view: field of `Measurements`, unit, long name.
+ERRORS_OF_VIEWS = {
+    "calibration_error": ("calibration_errors", "1", "standard error of a view's gain"),
+    "pointing_error": ("pointing_errors", "degree", "standard error of a camera's direction and its image's rotation"),
+    "position_error": ("position_errors", "km", "standard error of a camera's place, or of an orthographic image's"),
+}
 # Of lengths and angles without units, the largest that are taken as km and the smallest as degrees: heights and
 # distances of kilometres, angles that in radians are no directions. What else they are, somebody must say.
 _LARGEST_GUESSED, _SMALLEST_GUESSED = 100.0, 2 * np.pi
@@ -128,7 +134,7 @@ def measurements_dataset(
     if not measurements:
         raise DataError(f"{name}: there are no images to write")
     first = measurements[0]
-    if any((one.views, one.calibration_errors) != (first.views, first.calibration_errors) for one in measurements):
+    if any(_of_views(one) != _of_views(first) for one in measurements):
         raise DataError(f"{name}: images of several wavelengths in one file must have the same views")
     datasets = [
         _dataset(one, attributes, settings, None if cloud is None else (cloud[0], cloud[1][n], cloud[2]), name)
@@ -186,11 +192,10 @@ def _dataset(
         coordinates[key] = (key, np.arange(count, dtype=np.int32), {"units": "1", "long_name": f"{key}, from 0"})
     if measurements.wavelength is not None:
         coordinates[WAVELENGTH] = wavelength_coordinate(measurements.wavelength)
-    if any(measurements.calibration_errors):
-        long_name = "standard error of a view's gain, common to all of its pixels"
-        variables["calibration_error"] = (
-            "view", np.array(measurements.calibration_errors, float), {"units": "1", "long_name": long_name}
-        )  # fmt: skip
+    for name_of_error, (field, unit, long_name) in ERRORS_OF_VIEWS.items():
+        if any(getattr(measurements, field)):
+            described = {"units": unit, "long_name": f"{long_name}, common to all of its pixels"}
+            variables[name_of_error] = ("view", np.array(getattr(measurements, field), float), described)
     if cloud is not None:
         of_cloud = extinction_variables(name, *cloud)
         variables.update(of_cloud[0])
@@ -205,9 +210,9 @@ def read_measurements(source: Source, wavelength: float | None = None) -> Measur
     """Reads what `write_measurements` wrote, or `measurements_dataset` made: the same images, the same views.
 
     Pixels are bad whose radiance is missing (NaN, masked, a fill value, outside of its valid range), or where a
-    variable `valid` (view, row, column), which a file may have, is 0 or missing. Another that it may have is
-    `calibration_error` (view), relative. Units are converted; coordinates `row`, `column` and `axis` say in which order
-    these come.
+    variable `valid` (view, row, column), which a file may have, is 0 or missing. Others that it may have are standard
+    errors of views: `calibration_error` (view), relative, `pointing_error` and `position_error` (view), with units.
+    Units are converted; coordinates `row`, `column` and `axis` say in which order these come.
 
     Parameters
     ----------
@@ -250,10 +255,6 @@ def read_measurements(source: Source, wavelength: float | None = None) -> Measur
                 f"but a radiance at row {row}, column {column}: correct them, or set what lies beyond to NaN"
             )
     views = _views(path, dataset, heights, widths)
-    gains: tuple[float, ...] = ()
-    if "calibration_error" in dataset.variables:
-        gain = number_variable(path, dataset, "calibration_error", ("view",))
-        gains = tuple(float(value) for value in gain.values.astype(np.float64) * unit_factor(path, gain, "1"))
     _refuse_unlikely(path, radiance.values, error.values)
     shapes = [(slice(0, int(height)), slice(0, int(width))) for height, width in zip(heights, widths)]
     try:
@@ -261,11 +262,30 @@ def read_measurements(source: Source, wavelength: float | None = None) -> Measur
             views,
             tuple(image[shape].astype(np.float64) for image, shape in zip(radiance.values, shapes)),
             tuple(image[shape].astype(np.float64) for image, shape in zip(error.values, shapes)),
-            gains,
             wavelength=next(iter(wavelengths_of(path, dataset)), None),
+            **_errors_of_views(path, dataset),
         )
     except DataError as wrong:
         raise DataError(f"{path}: {wrong}") from None
+
+
+def _of_views(measurements: Measurements) -> tuple[Any, ...]:
+    """The views, and what is known of them as wholes."""
+    return measurements.views, *(getattr(measurements, field) for field, *_ in ERRORS_OF_VIEWS.values())
+
+
+def _errors_of_views(path: Any, dataset: xr.Dataset) -> dict[str, tuple[float, ...]]:
+    """The standard errors that are common to views' pixels, by the fields of `Measurements`."""
+    errors = {}
+    for name, (field, unit, _) in ERRORS_OF_VIEWS.items():
+        if name not in dataset.variables:
+            continue
+        variable = number_variable(path, dataset, name, ("view",))
+        if unit != "1" and "units" not in variable.attrs:
+            raise DataError(f"{path}: {name} has no units: set its attribute units, for instance to {unit}")
+        values = variable.values.astype(np.float64) * unit_factor(path, variable, unit)
+        errors[field] = tuple(map(float, values))
+    return errors
 
 
 def _radiances(path: Any, dataset: xr.Dataset, name: str) -> xr.DataArray:

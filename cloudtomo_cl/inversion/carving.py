@@ -15,6 +15,7 @@ from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.pointing import error_in_pixels
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.sensors import AffineView, RayView
 from cloudtomo_cl.scene.visibility import footprints, pixels_that_meet, slabs
@@ -71,7 +72,9 @@ def cloudy_pixels(
     of the largest among the images, so that a view of hardly any cloud is not judged by its noise.
     Gaps of a pixel or two and holes are then closed: where the brightness of a cloud's image
     passes through that of the ground, the cloud goes on. (Not in lists of rays, whose pixels
-    have no neighbours.) Invalid pixels, which are NaN, cannot say anything: they count as cloudy.
+    have no neighbours.) Where a view's pointing is uncertain, pixels beside such ones count as
+    cloudy, too, up to `significance` standard errors of it away. Invalid pixels, which are NaN,
+    cannot say anything: they count as cloudy.
 
     Parameters
     ----------
@@ -102,7 +105,7 @@ def cloudy_pixels(
     scales = np.array([np.nanpercentile(difference, _SCALE_PERCENTILE) for difference in differences])
     scales = np.maximum(scales, scales.max() / 4)
     cloudy = []
-    for view, difference, error, scale in zip(measurements.views, differences, errors, scales):
+    for index, (view, difference, error, scale) in enumerate(zip(measurements.views, differences, errors, scales)):
         bad = np.isnan(difference)
         noise = 3 * significance * np.percentile(error[~bad], _QUIET_PERCENTILE)
         tolerance = np.clip(noise, contrast * scale, _LOOSEST * contrast * scale)
@@ -110,9 +113,24 @@ def cloudy_pixels(
         if grid is not None:
             meets = pixels_that_meet(view, grid)
             differs, bad = differs & meets, bad & meets
+            differs = _grown(differs, significance * _pointing_error(measurements, index, grid))
         # Invalid pixels open no way to their neighbours.
         cloudy.append((differs if isinstance(view, RayView) else _filled(differs)) | bad)
     return tuple(cloudy)
+
+
+def _pointing_error(measurements: Measurements, view: int, grid: Grid) -> float:
+    """The standard error of where a view's pixels look, in pixels."""
+    given = measurements.pointing_errors[view], measurements.position_errors[view]
+    return error_in_pixels(measurements.views[view], grid, *given)
+
+
+def _grown(pixels: np.ndarray, by: float) -> np.ndarray:
+    """Pixels and all that lie up to so many pixels away, rounded up."""
+    from scipy.ndimage import binary_dilation
+
+    reach = int(np.ceil(by))
+    return binary_dilation(pixels, np.ones((2 * reach + 1, 2 * reach + 1), bool)) if reach else pixels
 
 
 def _of_the_quietest(error: np.ndarray) -> np.ndarray:

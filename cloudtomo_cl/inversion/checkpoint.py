@@ -185,6 +185,8 @@ def identity_of(
         "images": [_digest(image) for image in measurements.images],
         "standard_errors": [_digest(error) for error in measurements.standard_errors],
         "calibration_errors": [*measurements.calibration_errors],
+        "pointing_errors": [*measurements.pointing_errors],
+        "position_errors": [*measurements.position_errors],
         "mask": _digest(mask),
         "truth": None if truth is None else _digest(np.asarray(truth, np.float64)),
     }

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cloudtomo_cl.inversion.calibration import Calibration
+
 # Relative variance, in typical ones, beyond which a pixel's weight follows it. Below, the modelled image's noise
 # counts as much; and standard errors come from the same samples as radiances: weights that follow them closely
 # favour pixels that are dark by chance (docs/decisions/pixel-weights.md).
@@ -49,52 +51,6 @@ def pixel_weights(measured: np.ndarray, standard_error: np.ndarray) -> np.ndarra
     weights = relative_weights(measured)
     relative = weights * variance_of(measured, standard_error)
     return weights / np.maximum(1.0, relative / (_NOISY * np.median(relative)))
-
-
-class Gains:
-    """The part of residuals that the unknown gains of the views' calibration do not explain.
-
-    What a view measures is its gain times the radiance; the gain is 1 with the standard error s, independent of
-    the others'. The gain that makes 1/2 sum w r^2 and its own cost n (g - 1)^2 / (2 s^2) least is taken out,
-    n the mean of w times the noise's variance, which is the data term's unit. So 1/2 sum w r Gains(r) is the
-    cost with the best gains, and w Gains(r) its derivative with respect to r. (Marginalising Gaussian gains
-    gives the same.) It is the modelled image that gains multiply: with the measured one, noise and all, a fit
-    would gain by shrinking both (D'Agostini 1994, "On the use of the covariance matrix to fit correlated data").
-    The gains' mean, weighted by 1 / s^2, is taken to be 1: a brighter cloud looks like a larger common gain, and
-    priors would choose the thinnest cloud that it allows (with errors of 8 %, on a small test: a fifth less mass).
-
-    Parameters
-    ----------
-    weights : w, shape (pixels,)
-    view : of each pixel, shape (pixels,)
-    calibration_errors : s, one for each view; 0 for a gain that is exact
-    unit : n
-    """
-
-    def __init__(
-        self, weights: np.ndarray, view: np.ndarray, calibration_errors: tuple[float, ...], unit: float
-    ) -> None:
-        errors = np.asarray(calibration_errors, float)
-        self._free = bool(np.any(errors > 0))
-        self._weights, self._view = weights, view
-        self._held = np.divide(unit, errors**2, out=np.full(len(errors), np.inf), where=errors > 0)
-        # Exact views fix the scale by themselves.
-        self._share = self._held / self._held.max() if np.all(errors > 0) else None
-
-    def __call__(self, residual: np.ndarray, modelled: np.ndarray) -> np.ndarray:
-        """Residuals without what gains explain.
-
-        residual, modelled : shape (pixels,); the image that gains multiply, which need not be the residual's
-        """
-        if not self._free:
-            return residual
-        views, weighted = len(self._held), self._weights * modelled
-        stiffness = np.bincount(self._view, weighted * modelled, views) + self._held
-        gains = np.bincount(self._view, weighted * residual, views) / stiffness
-        if self._share is not None:
-            back = self._share / stiffness
-            gains -= back * (self._share @ gains) / (self._share @ back)
-        return residual - gains[self._view] * modelled
 
 
 def noise_of(variance: np.ndarray, weights: np.ndarray) -> float:
@@ -147,16 +103,21 @@ class AveragedImage:
         return cls(np.zeros(pixels), np.zeros(pixels))
 
     def cost(
-        self, halves: np.ndarray, measured: np.ndarray, weights: np.ndarray, gains: Gains | None = None, window: int = 1
+        self,
+        halves: np.ndarray,
+        measured: np.ndarray,
+        weights: np.ndarray,
+        calibration: Calibration | None = None,
+        window: int = 1,
     ) -> tuple[float, float]:
         """F and its standard error, from halves of shape (pixels, 2) of paths that are not averaged yet."""
         residuals = halves - measured[:, None]
         half_variance = (halves[:, 0] - halves[:, 1]) ** 2 / 2
         if window == 1 or self.iterations == 0:
-            first, second = residuals[:, 0], self._without_gains(residuals[:, 1], gains)
+            first, second = residuals[:, 0], self._calibrated(residuals[:, 1], calibration)
             return cost_of_independent(first, half_variance, second, half_variance, weights)
         return cost_of_independent(
-            self._without_gains(self.mean - measured, gains),
+            self._calibrated(self.mean - measured, calibration),
             self.variance,
             residuals.mean(axis=1),
             half_variance / 2,
@@ -164,12 +125,17 @@ class AveragedImage:
         )
 
     def adjoint(
-        self, halves: np.ndarray, measured: np.ndarray, weights: np.ndarray, gains: Gains | None = None, window: int = 1
+        self,
+        halves: np.ndarray,
+        measured: np.ndarray,
+        weights: np.ndarray,
+        calibration: Calibration | None = None,
+        window: int = 1,
     ) -> np.ndarray:
         """d F / d halves, shape (pixels, 2): that of each half depends on the other's paths and the average only."""
         rate = self._rate(window)
         other = (1.0 - rate) * self.mean[:, None] + rate * halves[:, ::-1]
-        corrected = np.column_stack([self._without_gains(half, gains) for half in (other - measured[:, None]).T])
+        corrected = np.column_stack([self._calibrated(half, calibration) for half in (other - measured[:, None]).T])
         return 0.5 * weights[:, None] * corrected
 
     def with_halves(self, halves: np.ndarray, window: int = 1) -> AveragedImage:
@@ -194,6 +160,6 @@ class AveragedImage:
     def _rate(self, window: int) -> float:
         return 1.0 / min(self.iterations + 1, window)
 
-    def _without_gains(self, residual: np.ndarray, gains: Gains | None) -> np.ndarray:
+    def _calibrated(self, residual: np.ndarray, calibration: Calibration | None) -> np.ndarray:
         # The average multiplies gains: it has other paths than the residuals that it is taken from.
-        return residual if gains is None else gains(residual, self.mean)
+        return residual if calibration is None else calibration(residual, self.mean)

@@ -8,10 +8,12 @@ from functools import cached_property
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.inversion.objective import Gains, noise_of, pixel_weights, variance_of
+from cloudtomo_cl.inversion.calibration import Calibration
+from cloudtomo_cl.inversion.objective import noise_of, pixel_weights, variance_of
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.pixels import neighbours
+from cloudtomo_cl.scene.pointing import MOTIONS, image_motions
 from cloudtomo_cl.scene.sensors import View
 from cloudtomo_cl.scene.visibility import pixels_that_see
 
@@ -26,6 +28,8 @@ class ActivePixels:
     listed : (view, row * width + column), uint32, shape (pixels, 2)
     radiance, standard_error : as measured, W m^-2 sr^-1, shape (pixels,); errors are 0 where unknown
     calibration_errors : of the views' gains
+    motions : what motions of its view change a pixel by, shape (pixels, 3), if any is possible (`scene.pointing`)
+    motion_errors : standard errors of the views' motions, shape (views, 3)
     """
 
     views: tuple[View, ...]
@@ -33,6 +37,8 @@ class ActivePixels:
     radiance: np.ndarray
     standard_error: np.ndarray
     calibration_errors: tuple[float, ...]
+    motions: np.ndarray | None = None
+    motion_errors: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.listed)
@@ -71,9 +77,10 @@ class ActivePixels:
         return 2 * noise_of(self.variance, self.weights) / len(self)
 
     @cached_property
-    def gains(self) -> Gains:
-        """Of the views, which their calibration leaves open."""
-        return Gains(self.weights, self.listed[:, 0], self.calibration_errors, self.unit)
+    def calibration(self) -> Calibration:
+        """What the views' calibration leaves open."""
+        view = self.listed[:, 0]
+        return Calibration(self.weights, view, self.calibration_errors, self.unit, self.motions, self.motion_errors)
 
 
 def active_pixels(measurements: Measurements, grid: Grid, mask: np.ndarray) -> ActivePixels:
@@ -83,15 +90,25 @@ def active_pixels(measurements: Measurements, grid: Grid, mask: np.ndarray) -> A
     ------
     DataError : there are none
     """
-    pixels, radiance, errors = [], [], []
-    for index, view in enumerate(measurements.views):
+    pixels, radiance, errors, motions = [], [], [], []
+    motion_errors = measurements.motion_errors(grid)
+    for index, (view, image) in enumerate(zip(measurements.views, measurements.images)):
         chosen = np.flatnonzero(pixels_that_see(view, grid, mask) & measurements.valid[index])
         pixels.append(np.column_stack([np.full(len(chosen), index), chosen]))
-        radiance.append(measurements.images[index].ravel()[chosen])
+        radiance.append(image.ravel()[chosen])
         errors.append(measurements.standard_errors[index].ravel()[chosen])
+        if motion_errors[index].any():
+            motions.append(image_motions(view, image, grid).reshape(-1, MOTIONS)[chosen])
+        else:
+            motions.append(np.zeros((len(chosen), MOTIONS)))
     if not any(map(len, radiance)):
         raise DataError("no valid pixel of any view looks at the mask: check the views' positions and targets")
-    listed = np.concatenate(pixels).astype(np.uint32)
     return ActivePixels(
-        measurements.views, listed, np.concatenate(radiance), np.concatenate(errors), measurements.calibration_errors
+        measurements.views,
+        np.concatenate(pixels).astype(np.uint32),
+        np.concatenate(radiance),
+        np.concatenate(errors),
+        measurements.calibration_errors,
+        np.concatenate(motions) if motion_errors.any() else None,
+        motion_errors,
     )

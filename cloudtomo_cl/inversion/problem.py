@@ -21,7 +21,8 @@ from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
 from cloudtomo_cl.scene.arrays import filled
 from cloudtomo_cl.scene.grid import Grid, coarsened
-from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.measurements import Measurements, check_wavelength
+from cloudtomo_cl.scene.pointing import moved
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.radiance import RadianceOperator
@@ -48,6 +49,7 @@ class Problem:
     prior : for these voxels
     prior_weight : factor of the prior
     samples : paths per pixel that derivatives are made of; by default the solver's choice
+    motions : of the views (`scene.pointing`), shape (views, 3), that solvers which find them start from; none: 0
     """
 
     voxels: Voxels
@@ -56,6 +58,7 @@ class Problem:
     prior: BoundPrior
     prior_weight: float = 1.0
     samples: int | None = None
+    motions: np.ndarray | None = None
 
     @classmethod
     def of(
@@ -85,8 +88,10 @@ class Problem:
 
         Raises
         ------
-        DataError : an array does not fit the scene's grid, no voxel may hold cloud, or no pixel sees one
+        DataError : an array does not fit the scene's grid, scene and images are at different wavelengths, no voxel may
+            hold cloud, or no pixel sees one
         """
+        check_wavelength(scene, measurements)
         device = device or choose_device()
         if mask is None:
             mask = carved_mask(scene, measurements, device)
@@ -131,6 +136,13 @@ class Problem:
         """Paths per pixel that derivatives are made of, where nobody says."""
         return max(2, 2 * round(max(_PATHS_PER_VOXEL * len(self.voxels), _LEAST_PATHS) / len(self.active) / 2))
 
+    def with_motions(self, motions: np.ndarray) -> Problem:
+        """The same problem, of views after small motions (`scene.pointing`), shape (views, 3)."""
+        if not np.any(motions):
+            return self
+        views = [moved(view, motion, self.grid) for view, motion in zip(self.active.views, motions)]
+        return replace(self, operator=self.operator.of_views(views))
+
     def on_grid(self, x: np.ndarray) -> np.ndarray:
         """Extinctions of the voxels on the grid, km^-1, float32; 0 outside of the mask."""
         return self.voxels.on_grid(x)
@@ -174,7 +186,7 @@ class Problem:
         count = samples or self.samples or self.default_samples
         rendering = self.operator.render(self.on_grid(x), count, seed, stream, store_paths=True)
         image = AveragedImage.empty(len(self.active))
-        data = (rendering.halves, self.radiance, self.weights, self.active.gains)
+        data = (rendering.halves, self.radiance, self.weights, self.active.calibration)
         value, _ = image.cost(*data)
         gradient, _ = RadianceTable(self.operator).gradient(rendering, image.adjoint(*data), self._nothing())
         of_prior, prior_gradient = self.prior.value_and_gradient(x, self.units())

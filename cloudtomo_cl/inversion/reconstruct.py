@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -38,7 +38,7 @@ from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Grid, resample_in_mask
-from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.measurements import Measurements, check_wavelength
 from cloudtomo_cl.scene.metrics import epsilon
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.seeds import checked_seed
@@ -160,10 +160,11 @@ def _iterated(
 ) -> tuple[Problem, Any]:
     """All stages, from where the run stands; returns the last problem, and the state that it ended with."""
     estimate = np.full(run.stages[0].grid, _start(solver, question.scene.grid, question.mask))
+    motions = None
     while True:
         stage = run.stages[run.stage]
         _LOGGER.info("stage %d of %d: building its kernels", run.stage + 1, len(run.stages))
-        problem = question.at(stage)
+        problem = replace(question.at(stage), motions=motions)
         _LOGGER.info("stage %d of %d: its first iteration", run.stage + 1, len(run.stages))
         state = solver.init(problem, resample_in_mask(estimate, problem.mask)[problem.mask])
         if resumed is not None:
@@ -180,7 +181,7 @@ def _iterated(
         _LOGGER.info("stage %d of %d ended after %.1f s", run.stage + 1, len(run.stages), run.seconds)
         if run.stage + 1 == len(run.stages) or _is_over(run, rules):
             return problem, state
-        estimate = problem.on_grid(state.estimate)
+        estimate, motions = problem.on_grid(state.estimate), getattr(state, "motions", None)
         run.stage, run.iteration = run.stage + 1, 0
 
 
@@ -230,6 +231,7 @@ def check(
     prior, solver = prior or PatchPrior(), solver or GaussNewton()
     stages = stages_of(scene.grid, stages, solver)
     checked_seed(seed)
+    check_wavelength(scene, measurements)
     if truth is not None and np.shape(truth) != scene.grid.shape:
         raise DataError(f"truth has shape {np.shape(truth)}, the grid {scene.grid.shape}")
     if truth is not None:

@@ -44,7 +44,7 @@ def standard_errors(
     jacobian : shape (pixels, voxels of the mask)
     weights : of the squared residuals, shape (pixels,)
     noise : draws noise of the images, shape (pixels,)
-    correct : what is left of residuals, `Gains`, shape (pixels,)
+    correct : what is left of residuals, `Calibration`, shape (pixels,)
     prior : whose Gaussian part counts
     units : what it is multiplied with
     estimate : km^-1, shape (voxels of the mask,)

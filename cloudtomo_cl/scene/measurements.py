@@ -12,13 +12,22 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.renamed import renamed_attributes
 from cloudtomo_cl.scene.arrays import filled
 from cloudtomo_cl.scene.cards import card
-from cloudtomo_cl.scene.grid import resample
+from cloudtomo_cl.scene.grid import Grid, resample
 from cloudtomo_cl.scene.pixel_errors import pooled_standard_errors
+from cloudtomo_cl.scene.pointing import motion_errors
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.sensors import RayView, View
 
 # Share of a larger pixel that must not be bad: half, up to rounding.
 _LEAST_VALID = 0.5 - 1e-9
+# Wavelengths that differ by a smaller share are the same.
+_SAME_WAVELENGTH = 1e-5
+# Standard errors of views: below what, and what is allowed, in words. Beyond, a camera is not known at all.
+_ERRORS_OF_VIEWS = {
+    "calibration_errors": (1.0, "at least 0, below 1"),
+    "pointing_errors": (10.0, "at least 0, below 10 degrees"),
+    "position_errors": (float("inf"), "at least 0 km, and finite"),
+}
 
 
 class _Renders(Protocol):
@@ -42,6 +51,9 @@ class Measurements:
     standard_errors : of the radiances, same unit and shapes; zero where unknown; of no meaning in invalid pixels
     calibration_errors : standard errors of the views' gains, which are 1, for instance 0.02; none: all exact.
         They are no part of `standard_errors`, for they are common to all pixels of a view
+    pointing_errors : standard errors of the directions that the cameras look in and of the images' rotation, degrees;
+        none: all exact
+    position_errors : standard errors of the cameras' places, or of where orthographic images lie, km; none: all exact
     wavelength : nm in air, if it is known
     """
 
@@ -49,6 +61,8 @@ class Measurements:
     images: tuple[np.ndarray, ...]
     standard_errors: tuple[np.ndarray, ...]
     calibration_errors: tuple[float, ...] = ()
+    pointing_errors: tuple[float, ...] = ()
+    position_errors: tuple[float, ...] = ()
     wavelength: float | None = None
 
     @classmethod
@@ -87,13 +101,14 @@ class Measurements:
                     raise DataError(f"measurements: {name} of {where}{hint}")
                 if bad.all():
                     raise DataError(f"measurements: all pixels of view {index} are bad: leave the view out")
-        if not self.calibration_errors:
-            object.__setattr__(self, "calibration_errors", (0.0,) * len(self.views))
-        if len(self.calibration_errors) != len(self.views):
-            raise DataError(f"measurements: {len(self.calibration_errors)} calibration_errors, {len(self.views)} views")
-        for index, value in enumerate(self.calibration_errors):
-            if not 0 <= value < 1:
-                raise DataError(f"measurements: calibration_errors of view {index} is {value}: at least 0, below 1")
+        for name, (below, allowed) in _ERRORS_OF_VIEWS.items():
+            values = getattr(self, name) or (0.0,) * len(self.views)
+            object.__setattr__(self, name, tuple(values))
+            if len(values) != len(self.views):
+                raise DataError(f"measurements: {len(values)} {name}, {len(self.views)} views")
+            for index, value in enumerate(values):
+                if not 0 <= value < below:
+                    raise DataError(f"measurements: {name} of view {index} is {value}: {allowed}")
         if self.wavelength is not None and not 0 < self.wavelength < np.inf:
             raise DataError(f"measurements: wavelength is {self.wavelength}: it must be above 0 nm")
         for index, error in enumerate(self.standard_errors):
@@ -128,6 +143,21 @@ class Measurements:
     def invalid_pixels(self) -> int:
         """How many pixels of all images are bad."""
         return sum(int(np.isnan(image).sum()) for image in self.images)
+
+    def motion_errors(self, grid: Grid) -> np.ndarray:
+        """Standard errors of the views' motions (`scene.pointing`), shape (views, 3).
+
+        Raises
+        ------
+        DataError : a view with such an error is neither a camera nor orthographic
+        """
+        errors = []
+        for index, (view, *given) in enumerate(zip(self.views, self.pointing_errors, self.position_errors)):
+            try:
+                errors.append(motion_errors(view, grid, *given))
+            except DataError as error:
+                raise DataError(f"measurements: view {index}: {error}") from None
+        return np.array(errors)
 
     def resampled(self, pixels: Sequence[tuple[int, int]]) -> Measurements:
         """The same images averaged over larger pixels, (width, height) for each view.
@@ -181,3 +211,10 @@ class Measurements:
             difference = modelled.images[index] - image
             differences.append(np.divide(difference, error, out=np.full(image.shape, np.nan), where=error > 0))
         return differences
+
+
+def check_wavelength(scene: Scene, measurements: Measurements) -> None:
+    """DataError if a scene and its images are at different wavelengths, as far as both are known."""
+    one, other = scene.wavelength, measurements.wavelength
+    if one is not None and other is not None and not np.isclose(one, other, rtol=_SAME_WAVELENGTH, atol=0.0):
+        raise DataError(f"the scene is at {one:g} nm, the images are of {other:g} nm: take the optics of their wavelength")

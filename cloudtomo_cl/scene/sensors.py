@@ -213,7 +213,7 @@ class OrthographicView(AffineView):
         if self.position is not None:
             if self.target is None:
                 raise ValueError("position needs a target")
-            if self._sight()[2] > -_SHALLOW:
+            if self.sight()[2] > -_SHALLOW:
                 _require_near("position", self.position)
         right, up = self._axes()
         if self.position is not None:
@@ -231,7 +231,8 @@ class OrthographicView(AffineView):
         """The same field of view in other pixels (width, height); also where these are not square."""
         return replace(self, pixels=pixels, aspect=self._aspect)
 
-    def _sight(self) -> np.ndarray:
+    def sight(self) -> np.ndarray:
+        """The unit vector in which the sensor looks."""
         if self.position is not None and self.target is not None:
             return line_of_sight(self.position, self.target)
         assert self.zenith is not None
@@ -239,11 +240,11 @@ class OrthographicView(AffineView):
 
     def _axes(self) -> tuple[np.ndarray, np.ndarray]:
         """Unit vectors to the right and up in the image."""
-        return image_axes(self._sight(), self.up)
+        return image_axes(self.sight(), self.up)
 
     def rays(self, grid: Grid, top: float | None = None) -> tuple[np.ndarray, np.ndarray]:
         """See AffineView."""
-        sight, (right, up) = self._sight(), self._axes()
+        sight, (right, up) = self.sight(), self._axes()
         height = self.width * self._aspect
         top = grid.origin[2] + grid.extent[2] if top is None else top
         if self.position is not None:
@@ -263,7 +264,7 @@ class OrthographicView(AffineView):
         They see the same from there, and single precision is some metres at the distance of a
         geostationary satellite.
         """
-        sight, (right, up) = self._sight(), self._axes()
+        sight, (right, up) = self.sight(), self._axes()
         if sight[2] >= 0:
             return centre
         corners = np.stack(np.meshgrid(*zip(grid.origin, np.add(grid.origin, grid.extent))), axis=-1)

@@ -272,6 +272,14 @@ class RadianceOperator:
         other._pixels = self.device.constant(other.pixels)
         return other
 
+    def of_views(self, views: Sequence[View]) -> RadianceOperator:
+        """The same operator for other views that have the same pixels; see the class."""
+        other = copy.copy(self)
+        other.views = tuple(views)
+        other._views = self.device.constant(view_structs(other.views, self.scene.grid, self.scene.top))
+        other._rays = self.device.constant(ray_array(other.views, self.scene))
+        return other
+
     def _arguments(self, medium: FilledMedium, first: int, paths: int, seed: int, stream: int) -> dict[str, Any]:
         """What every kernel that walks the pixels' paths takes, by name."""
         return medium.arguments | {
@@ -367,7 +375,9 @@ class RadianceOperator:
             raise DataError("this rendering kept no paths: render with store_paths=True")
         astray = self.device.zeros(1, np.uint32)
         for first, paths in rendering._launches:
-            walk = self._arguments(rendering._medium, first, paths.size, rendering.seed, rendering.stream)
+            walk = rendering._operator._arguments(
+                rendering._medium, first, paths.size, rendering.seed, rendering.stream
+            )
             stored = {"path_radiance": paths, "astray": astray}
             yield StoredLaunch(paths.size, paths.size // len(self.pixels), self._pace, walk, stored)
         check_replays(int(astray.get()[0]), rendering.samples * len(self.pixels))

@@ -355,10 +355,13 @@ def test_bad_pixels_survive_a_file(tmp_path):
         np.testing.assert_array_equal(kept, image)
 
 
-def test_calibration_errors_survive_a_file(tmp_path):
-    measurements = replace(some_measurements(), calibration_errors=(0.02, 0.0, 0.1))
+@pytest.mark.parametrize("name", ["calibration_errors", "pointing_errors", "position_errors"])
+def test_errors_of_views_survive_a_file(tmp_path, name):
+    measurements = replace(some_measurements(), **{name: (0.02, 0.0, 0.1)})
     write_measurements(tmp_path / "images.nc", measurements)
-    assert read_measurements(tmp_path / "images.nc").calibration_errors == (0.02, 0.0, 0.1)
+    read = read_measurements(tmp_path / "images.nc")
+    assert getattr(read, name) == (0.02, 0.0, 0.1)
+    assert replace(read, **{name: ()}).views == measurements.views
 
 
 def test_a_variable_says_which_pixels_are_valid(tmp_path):

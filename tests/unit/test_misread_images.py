@@ -26,7 +26,8 @@ DIMS = ("view", "row", "column")
 def images():
     generator = np.random.default_rng(4)
     arrays = tuple(generator.uniform(0.05, 0.2, view.pixels[::-1]) for view in VIEWS)
-    return Measurements(VIEWS, arrays, tuple(0.01 * array for array in arrays), (0.02, 0.0, 0.0))
+    errors = tuple(0.01 * array for array in arrays)
+    return Measurements(VIEWS, arrays, errors, (0.02, 0.0, 0.0), (0.5, 0.0, 1.0), (0.0, 0.0, 0.02))
 
 
 def dataset():
@@ -47,11 +48,13 @@ def assert_same(read):
     for name in ("images", "standard_errors"):
         for array, other in zip(getattr(read, name), getattr(expected, name)):
             np.testing.assert_allclose(array, other, rtol=1e-12)
-    assert read.calibration_errors == pytest.approx(expected.calibration_errors)
+    for name in ("calibration_errors", "pointing_errors", "position_errors"):
+        assert getattr(read, name) == pytest.approx(getattr(expected, name))
 
 
 def scaled(data, name, factor, units):
-    return data.assign({name: (data[name].dims, data[name].values * factor, {"units": units})})
+    attributes = {} if units is None else {"units": units}
+    return data.assign({name: (data[name].dims, data[name].values * factor, attributes)})
 
 
 @pytest.mark.parametrize(
@@ -68,6 +71,8 @@ def scaled(data, name, factor, units):
         ("radiance_standard_error", 1e3, "mW m-2 sr-1"),
         ("calibration_error", 100.0, "%"),
         ("calibration_error", 100.0, "percent"),
+        ("pointing_error", np.pi / 180, "radian"),
+        ("position_error", 1e3, "m"),
     ],
 )
 def test_units_of_every_field_are_converted(name, factor, units):
@@ -85,6 +90,9 @@ def test_units_of_every_field_are_converted(name, factor, units):
         ("radiance", "W m-2", "allowed are W m-2 sr-1"),
         ("radiance", 5, "allowed are W m-2 sr-1"),
         ("calibration_error", "km", "allowed are 1"),
+        ("pointing_error", "km", "allowed are degree"),
+        ("pointing_error", None, "pointing_error has no units"),
+        ("position_error", None, "position_error has no units"),
     ],
 )
 def test_units_of_something_else_are_refused(name, units, message):

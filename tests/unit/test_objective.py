@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
 
-from cloudtomo_cl.inversion.objective import AveragedImage, Gains, pixel_weights, relative_weights
+from cloudtomo_cl.inversion.calibration import Calibration
+from cloudtomo_cl.inversion.objective import AveragedImage, pixel_weights, relative_weights
 from cloudtomo_cl.inversion.pixels import ActivePixels
 from cloudtomo_cl.inversion.solvers.gauss_newton import _cost
 from cloudtomo_cl.scene.sensors import OrthographicView
@@ -93,51 +93,6 @@ def test_quiet_pixels_and_those_somewhat_noisier_weigh_by_their_radiance():
     np.testing.assert_array_equal(pixel_weights(np.ones(50), error), relative_weights(np.ones(50)))
 
 
-VIEW = np.arange(PIXELS) % 4
-UNIT = 0.01
-
-
-def with_gains(random, errors):
-    residual, modelled = random.normal(size=PIXELS), random.random(PIXELS)
-    return residual, modelled, Gains(WEIGHTS, VIEW, errors, UNIT)
-
-
-def test_gains_that_are_taken_out_cost_least(random):
-    """Against a general minimiser, over gains whose weighted mean is 1."""
-    errors = np.array([0.02, 0.05, 0.3, 0.05])
-    residual, modelled, gains = with_gains(random, tuple(errors))
-
-    def cost(change):
-        left = residual + change[VIEW] * modelled
-        return 0.5 * np.sum(WEIGHTS * left**2) + 0.5 * UNIT * np.sum((change / errors) ** 2)
-
-    balanced = {"type": "eq", "fun": lambda change: np.sum(change / errors**2)}
-    found = minimize(cost, np.zeros(4), method="SLSQP", constraints=balanced, options={"ftol": 1e-14})
-    assert 0.5 * np.sum(WEIGHTS * residual * gains(residual, modelled)) == pytest.approx(found.fun, rel=1e-6)
-
-
-def test_the_derivative_of_the_cost_with_the_best_gains(random):
-    residual, modelled, gains = with_gains(random, (0.02, 0.0, 0.3, 0.05))
-    step = 1e-3 * random.normal(size=PIXELS)
-    costs = [0.5 * np.sum(WEIGHTS * r * gains(r, modelled)) for r in (residual + step, residual - step)]
-    expected = 2 * np.sum(step * WEIGHTS * gains(residual, modelled))
-    assert costs[0] - costs[1] == pytest.approx(expected, rel=1e-6)
-
-
-def test_a_gain_that_all_views_share_stays(random):
-    """Of views that see the same: nothing tells it from a brighter cloud."""
-    modelled = np.repeat(random.random(PIXELS // 4), 4)
-    gains = Gains(np.ones(PIXELS), VIEW, (0.1,) * 4, UNIT)
-    np.testing.assert_allclose(gains(0.2 * modelled, modelled), 0.2 * modelled)
-
-
-def test_exact_views_keep_their_residuals(random):
-    residual, modelled, gains = with_gains(random, (0.02, 0.0, 0.3, 0.05))
-    left = gains(residual, modelled)
-    np.testing.assert_array_equal(left[VIEW == 1], residual[VIEW == 1])
-    assert (left[VIEW == 2] != residual[VIEW == 2]).all()
-
-
 def test_weights_by_the_level_do_not_favour_pixels_that_are_dark_by_chance(random):
     """A factor fitted to an image of ones with 15 % noise is 1 - 0.15^2 / 9 on average; with weights of the pixels'
     own radiances it is 1 - 0.15^2. 5 standard errors of the mean."""
@@ -152,7 +107,8 @@ def test_weights_by_the_level_do_not_favour_pixels_that_are_dark_by_chance(rando
 
 def test_the_standard_error_of_gauss_newtons_cost_is_its_scatter(random):
     """The variance of an image is that of the mean of its two halves."""
-    gains = SimpleNamespace(gains=lambda residual, averaged: residual)
-    problem = SimpleNamespace(radiance=MEASURED, weights=WEIGHTS, active=gains)
-    found = np.array([_cost(problem, halves(random, MEASURED + 0.1), MEASURED) for _ in range(1000)])
+    active = SimpleNamespace(calibration=Calibration(WEIGHTS, np.zeros(PIXELS, int), (0.0,), 1.0))
+    problem = SimpleNamespace(radiance=MEASURED, weights=WEIGHTS, active=active)
+    state = SimpleNamespace(image=MEASURED, motions=np.zeros((1, 3)))
+    found = np.array([_cost(problem, halves(random, MEASURED + 0.1), state) for _ in range(1000)])
     assert np.sqrt(np.mean(found[:, 1] ** 2)) == pytest.approx(np.std(found[:, 0]), rel=0.1)

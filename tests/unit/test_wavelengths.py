@@ -133,7 +133,10 @@ def test_wavelengths_without_units_may_be_micrometres(folder):
             [
                 RED,
                 ct.Measurements(
-                    (ct.OrthographicView(zenith=0.0, width=1.0, pixels=(4, 3)),), RED.images, RED.images, (), 865.0
+                    (ct.OrthographicView(zenith=0.0, width=1.0, pixels=(4, 3)),),
+                    RED.images,
+                    RED.images,
+                    wavelength=865.0,
                 ),
             ],
             "must have the same views",
@@ -148,6 +151,13 @@ def test_what_does_not_go_into_one_file_is_refused(several, message):
 def test_an_impossible_wavelength_is_refused():
     with pytest.raises(DataError, match="wavelength is -1: it must be above 0 nm"):
         ct.Measurements(RED.views, RED.images, RED.standard_errors, wavelength=-1)
+
+
+def test_a_scene_at_another_wavelength_than_the_images_is_refused(device):
+    scene = ct.Scene(GRID, ct.Sun(30.0), wavelength=2130.0)
+    for solve in (ct.Problem.of, ct.reconstruct):
+        with pytest.raises(DataError, match="the scene is at 2130 nm, the images are of 672 nm"):
+            solve(scene, RED, device=device)
 
 
 def test_tables_of_several_wavelengths_come_back_one_by_one(folder):

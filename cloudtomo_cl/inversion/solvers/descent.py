@@ -118,7 +118,7 @@ class _Descent:
         values = problem.on_grid(state.extinction)
         rendering = problem.operator.render(values, samples, seed, stream, store_paths=True)
         window = self.image_average_window
-        data = (rendering.halves, problem.radiance, problem.weights, problem.active.gains, window)
+        data = (rendering.halves, problem.radiance, problem.weights, problem.active.calibration, window)
         cost, error = state.image.cost(*data)
         gradient, change = self._gradient(problem, state, rendering, state.image.adjoint(*data))
         image = state.image.with_halves(rendering.halves, window)

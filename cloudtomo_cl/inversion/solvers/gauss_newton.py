@@ -53,7 +53,9 @@ class GaussNewtonState:
     image, variance : of the averaged modelled image, W m^-2 sr^-1 and its square, shape (pixels,)
     lag : `noise_of` the errors of the last step's prediction
     iterations : done so far
-    streams, walked : of the derivatives: random numbers, shape (iterations,), and extinctions, (iterations, voxels)
+    motions : of the views, shape (views, 3), as the next iteration renders them (`scene.pointing`)
+    streams, walked, turned : of the derivatives: random numbers, shape (iterations,), extinctions, (iterations,
+        voxels), and the views' motions, (iterations, views, 3)
     derivatives : their average; made again from the above after a resume
     """
 
@@ -63,8 +65,10 @@ class GaussNewtonState:
     variance: np.ndarray
     lag: float
     iterations: int
+    motions: np.ndarray
     streams: np.ndarray = of_any_length()
     walked: np.ndarray = of_any_length()
+    turned: np.ndarray = of_any_length()
     derivatives: JacobianAverage | None = not_saved(default=None)
 
     def modelled_noise(self, problem: Problem) -> float:
@@ -112,7 +116,11 @@ class GaussNewton:
         start = np.array(extinction, float)
         pixels, voxels = len(problem.active), len(start)
         nothing, none = np.zeros(pixels), np.zeros((0, voxels), np.float32)
-        return GaussNewtonState(start, start, nothing, nothing, 0.0, 0, np.zeros(0, np.int64), none)
+        motions = np.zeros_like(problem.active.calibration.motion_errors)
+        if problem.motions is not None:
+            motions = problem.motions
+        streams, turned = np.zeros(0, np.int64), np.zeros((0, *motions.shape))
+        return GaussNewtonState(start, start, nothing, nothing, 0.0, 0, motions, streams, none, turned)
 
     @with_one_blas_thread
     def step(
@@ -125,14 +133,16 @@ class GaussNewton:
         TransportError : a derivative is not finite
         """
         derivatives = _derivatives_of(problem, state, seed)
-        walked = derivatives.add(problem, state.extinction, seed, stream)
-        rendering = self._with_more_paths(problem, walked, state.extinction, seed, stream)
-        cost, error = _cost(problem, rendering.halves, state.image)
+        seen = problem.with_motions(state.motions)
+        walked = derivatives.add(seen, state.extinction, seed, stream)
+        rendering = self._with_more_paths(seen, walked, state.extinction, seed, stream)
+        cost, error = _cost(problem, rendering.halves, state)
         state = _with_image(problem, state, rendering)
         state = replace(
             state,
             streams=np.append(state.streams, stream),
             walked=np.concatenate([state.walked, state.extinction[None].astype(np.float32)]),
+            turned=np.concatenate([state.turned, state.motions[None]]),
             derivatives=derivatives,
         )
         frozen = problem.prior.frozen(state.extinction, state.iterations - 1)
@@ -164,10 +174,13 @@ class GaussNewton:
         jacobian, weights = state.derivatives.jacobian, problem.weights
         curvature = jacobian.curvature(weights)
         check_gradient(curvature, problem, stream)
+        misfit = _misfit(problem, state)
+        # While the cloud is wrong, gains and motions of the views must not explain what it does not.
+        calibration = problem.active.calibration.in_unit(max(problem.active.unit, float(np.mean(weights * misfit**2))))
         model = _Model(
             jacobian,
-            lambda residual: weights * problem.active.gains(residual, state.image),
-            state.image - problem.radiance,
+            lambda residual: weights * calibration(residual, state.image),
+            misfit,
             state.extinction,
             curvature,
             self.damping * max(0.5 ** (state.iterations - 1), 0.1),
@@ -183,8 +196,10 @@ class GaussNewton:
             prior = problem.prior.frozen(extinction, state.iterations - 1)
             extinction = model.minimised(extinction, prior, self.inner_iterations)
         predicted = jacobian @ (extinction - state.extinction)
+        motions = calibration.motions(model.residual + predicted, state.image)
+        predicted = predicted + calibration.change(motions - state.motions)
         lag = state.lag + noise_of((_TANGENT_ERROR * predicted) ** 2, weights)
-        return replace(state, extinction=extinction, image=state.image + predicted, lag=lag)
+        return replace(state, extinction=extinction, image=state.image + predicted, lag=lag, motions=motions)
 
     @with_one_blas_thread
     def standard_error(self, problem: Problem, state: GaussNewtonState, draws: int, seed: int) -> np.ndarray | None:
@@ -197,22 +212,21 @@ class GaussNewton:
             return None
         jacobian = _derivatives_of(problem, state, seed).jacobian
         units = problem.units(state.modelled_noise(problem))
-        misfit = image - problem.radiance + jacobian @ (state.estimate - state.extinction)
-        force = problem.weights * active.gains(misfit, image)
+        calibration = active.calibration
+        misfit = _misfit(problem, state) + jacobian @ (state.estimate - state.extinction)
+        force = problem.weights * calibration(misfit, image)
         prior = problem.prior.frozen(state.estimate, state.iterations)
         gradient = jacobian.rmatvec(force) + prior.value_and_gradient(state.estimate, units)[1]
         deviation = np.sqrt(active.variance + state.variance)
-        calibration = np.array(active.calibration_errors)
 
         def noise(random: np.random.Generator) -> np.ndarray:
-            common = calibration * random.standard_normal(len(calibration))
-            return deviation * random.standard_normal(len(image)) + common[active.listed[:, 0]] * image
+            return calibration.drawn(random, image) + deviation * random.standard_normal(len(image))
 
         return standard_errors(
             jacobian,
             problem.weights,
             noise,
-            lambda residual: active.gains(residual, image),
+            lambda residual: calibration(residual, image),
             prior,
             units,
             state.estimate,
@@ -279,16 +293,22 @@ def _derivatives_of(problem: Problem, state: GaussNewtonState, seed: int) -> Jac
     if state.derivatives is not None:
         return state.derivatives
     derivatives = JacobianAverage(problem, tail_rate)
-    for number, (stream, extinction) in enumerate(zip(state.streams, state.walked)):
+    for number, (stream, extinction, motions) in enumerate(zip(state.streams, state.walked, state.turned)):
         _LOGGER.info("replaying the paths of iteration %d of %d", number + 1, len(state.streams))
-        derivatives.add(problem, extinction, seed, int(stream))
+        derivatives.add(problem.with_motions(motions), extinction, seed, int(stream))
     return derivatives
 
 
-def _cost(problem: Problem, halves: np.ndarray, averaged: np.ndarray) -> tuple[float, float]:
+def _misfit(problem: Problem, state: GaussNewtonState) -> np.ndarray:
+    """What the averaged image is off by, if views did not move, shape (pixels,)."""
+    return state.image - problem.active.calibration.change(state.motions) - problem.radiance
+
+
+def _cost(problem: Problem, halves: np.ndarray, state: GaussNewtonState) -> tuple[float, float]:
+    calibration = problem.active.calibration
     variance = (halves[:, 0] - halves[:, 1]) ** 2 / 2
-    first, second = (halves - problem.radiance[:, None]).T
-    return cost_of_independent(first, variance, problem.active.gains(second, averaged), variance, problem.weights)
+    first, second = (halves - (problem.radiance + calibration.change(state.motions))[:, None]).T
+    return cost_of_independent(first, variance, calibration(second, state.image), variance, problem.weights)
 
 
 def _with_image(problem: Problem, state: GaussNewtonState, rendering: Rendering) -> GaussNewtonState:
