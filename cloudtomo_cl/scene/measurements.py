@@ -217,4 +217,4 @@ def check_wavelength(scene: Scene, measurements: Measurements) -> None:
     """DataError if a scene and its images are at different wavelengths, as far as both are known."""
     one, other = scene.wavelength, measurements.wavelength
     if one is not None and other is not None and not np.isclose(one, other, rtol=_SAME_WAVELENGTH, atol=0.0):
-        raise DataError(f"the scene is at {one:g} nm, the images are of {other:g} nm: take the optics of their wavelength")
+        raise DataError(f"the scene is at {one:g} nm, the images are of {other:g} nm: take optics of their wavelength")
