@@ -85,6 +85,11 @@ def test_one_wavelength_has_no_dimension(folder):
     assert same(ct.read_measurements("one.nc"), RED) and same(ct.read_measurements("one.nc", 672.0), RED)
 
 
+def test_the_only_wavelength_of_a_dimension_need_not_be_chosen():
+    dataset = ct.measurements_dataset([RED, INFRARED]).isel(wavelength=[1])
+    assert same(ct.read_measurements(dataset), INFRARED)
+
+
 def test_images_without_a_wavelength_are_written_as_ever(folder):
     dataset = ct.measurements_dataset(ct.Measurements(RED.views, RED.images, RED.standard_errors))
     assert "wavelength" not in dataset.variables and ct.read_measurements(dataset).wavelength is None
