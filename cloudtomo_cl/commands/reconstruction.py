@@ -297,13 +297,16 @@ def _show_result(job: Job, outcome: Outcome) -> None:
     last = result.history[-1]
     took = duration(last.seconds)
     job.console.print(f"{last.paths:.3g} paths in {took} on {job.device.name}: {outcome.state}", soft_wrap=True)
+    if result.no_standard_error and job.settings.run.uncertainty:
+        job.say(f"no standard error of the extinction: {result.no_standard_error}")
     if not result.extinction.any():
         job.say("the images leave no cloud: take less noisy ones, or give the prior less weight ([prior])")
         return
     stopping.check()
     job.say("rendering the images of the recovered cloud ...")
     iteration = len(result.history) + 1
-    write_modelled(job.folder, job.scene, job.measurements, result.extinction, job.device, job.seed, iteration)
+    measurements = replace(job.measurements, views=result.views)
+    write_modelled(job.folder, job.scene, measurements, result.extinction, job.device, job.seed, iteration)
     if job.request.with_report:
         stopping.check()
         job.say(f"drawing figures and {job.folder.report_file} ...")
@@ -326,13 +329,15 @@ def _write_result(job: Job, outcome: Outcome) -> None:
         "state": outcome.state,
         "iterations": len(result.history),
     }
+    if result.no_standard_error:
+        attributes["no_standard_error"] = result.no_standard_error
     settings = {"scene": stored_scene(job.scene), "reconstruct": job.stored_settings, "seed": job.seed}
     job.folder.write_reconstruction(
         result.grid,
         result.extinction,
         result.mask,
         attributes,
-        job.measurements,
+        replace(job.measurements, views=result.views),
         settings,
         result.standard_error,
     )

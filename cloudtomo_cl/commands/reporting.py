@@ -231,6 +231,8 @@ def _numbers(shown: _Shown) -> dict[str, str]:
     if "extinction_standard_error" in shown.result and (extinction > _CLOUD).any():
         error = np.median(shown.result["extinction_standard_error"].transpose(*AXES).values[extinction > _CLOUD])
         numbers["typical standard error in cloud"] = f"{error:.3g} km⁻¹"
+    elif "no_standard_error" in shown.result.attrs:
+        numbers["standard error"] = f"not known: {shown.result.attrs['no_standard_error']}"
     return numbers
 
 

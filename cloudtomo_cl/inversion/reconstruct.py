@@ -137,13 +137,16 @@ def reconstruct(
     limit, asked = TimeLimit(time_limit), StopRequested(stop)
     watchers = (guard_divergence, KeepHistory(truth, callback), keeper)
     problem, state = _iterated(question, solver, run, resumed, watchers, keeper, (limit, asked), seed)
-    error = None
-    if uncertainty and run.stage == len(stages) - 1 and not asked(run):
+    error, absent = None, _no_standard_error(problem, solver, run, uncertainty, asked(run))
+    if not absent:
         error = _standard_error(problem, solver, state, uncertainty, seed)
+        absent = "the solver does not know it" if error is None else ""
     extinction = run.on_finest_grid(problem.on_grid(state.estimate))
     error = None if error is None else run.on_finest_grid(problem.on_grid(error))
+    views = measurements.moved(getattr(state, "motions", None), scene.grid).views
+    history = History(run.history)
     return Reconstruction(
-        scene.grid, extinction, question.mask, History(run.history), run.stage_ends, error, limit.reached
+        scene.grid, extinction, question.mask, history, run.stage_ends, error, limit.reached, absent, views
     )
 
 
@@ -200,11 +203,28 @@ def _is_over(run: Run, rules: Sequence[StoppingRule]) -> bool:
     return any([rule(run) for rule in rules])  # all are asked: they remember
 
 
+def _no_standard_error(problem: Problem, solver: Any, run: Run, draws: int, stopped: bool) -> str:
+    """Why no standard error is known at the end of a run, in words; empty if one is."""
+    if not draws:
+        return "it was not asked for"
+    if not hasattr(solver, "standard_error"):
+        return f"{type(solver).__name__} does not tell it, GaussNewton does"
+    if run.stage < len(run.stages) - 1:
+        return "the run ended before its last stage"
+    if not run.iteration:
+        return "the last stage had no iteration"
+    if stopped:
+        return "the run was asked to stop"
+    if not problem.active.standard_error.any():
+        return "the standard errors of the images are not known"
+    return ""
+
+
 @device_errors("the standard errors")
 def _standard_error(problem: Problem, solver: Any, state: Any, draws: int, seed: int) -> np.ndarray | None:
-    """Of the estimate, if the solver knows it, km^-1, shape (voxels,)."""
-    of_solver = getattr(solver, "standard_error", None)
-    return None if of_solver is None else of_solver(problem, state, draws, seed)
+    """Of the estimate, km^-1, shape (voxels,)."""
+    found: np.ndarray | None = solver.standard_error(problem, state, draws, seed)
+    return found
 
 
 def check(

@@ -11,6 +11,7 @@ from cloudtomo_cl.files.extinction import WRITTEN_AXES, extinction_dataset
 from cloudtomo_cl.renamed import renamed_attributes
 from cloudtomo_cl.scene.cards import card, table
 from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.sensors import View
 
 
 @renamed_attributes(photons="paths")
@@ -110,6 +111,8 @@ class Reconstruction:
     standard_error : of the extinction, km^-1, float32, shape of the grid (docs/explanation/uncertainty.md says of
         what); none if it was not asked for, or is not known
     timed_out : whether its time limit ended it
+    no_standard_error : why there is none, in words
+    views : as they were found: those of the measurements, moved where their pointing was uncertain
     """
 
     grid: Grid
@@ -119,6 +122,8 @@ class Reconstruction:
     stage_ends: list[float]
     standard_error: np.ndarray | None = None
     timed_out: bool = False
+    no_standard_error: str = ""
+    views: tuple[View, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "history", History(self.history))

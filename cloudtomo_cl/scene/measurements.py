@@ -14,7 +14,7 @@ from cloudtomo_cl.scene.arrays import filled
 from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.grid import Grid, resample
 from cloudtomo_cl.scene.pixel_errors import pooled_standard_errors
-from cloudtomo_cl.scene.pointing import motion_errors
+from cloudtomo_cl.scene.pointing import motion_errors, moved
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.sensors import RayView, View
 
@@ -158,6 +158,12 @@ class Measurements:
             except DataError as error:
                 raise DataError(f"measurements: view {index}: {error}") from None
         return np.array(errors)
+
+    def moved(self, motions: np.ndarray | None, grid: Grid) -> Measurements:
+        """The same images of views after small motions (`scene.pointing`), shape (views, 3); none: as they are."""
+        if motions is None or not np.any(motions):
+            return self
+        return replace(self, views=tuple(moved(view, motion, grid) for view, motion in zip(self.views, motions)))
 
     def resampled(self, pixels: Sequence[tuple[int, int]]) -> Measurements:
         """The same images averaged over larger pixels, (width, height) for each view.

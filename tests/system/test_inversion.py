@@ -131,6 +131,34 @@ def test_known_calibration_errors_do_less_harm(problem, device):
     assert errors[1] < 0.9 * errors[0]
 
 
+def test_views_that_are_off_by_a_pixel_are_found(problem, device):
+    """The recovery is told views about a pixel off, and that they may be: it finds them, but for a shift that they
+    have in common, along x, y and z, for it shifts the cloud with them."""
+    scene, measurements, truth = problem
+    pixel = 1.4 / 16
+    off = pixel * np.array([[1.0, -0.5, 0.0], [-1.2, 0.3, 0.0], [0.6, 1.0, 0.0], [0.0, -0.8, 0.0]])
+    told = measurements.moved(-off, scene.grid)
+    uncertain = replace(told, position_errors=(pixel,) * 4)
+    stages = (ct.Stage(grid=(8, 8, 8), samples=32, iterations=8),)
+    found = recover((scene, uncertain, truth), device, mask=None, stages=stages, seed=2)
+    plain = recover((scene, told, truth), device, mask=None, stages=stages, seed=2)
+    assert plain.views == told.views
+    assert found.history[-1].cost < 0.2 * plain.history[-1].cost
+    right = [np.asarray(scene.grid.centre)] * 4
+    wrong, left = (
+        [np.subtract(view.target, centre) for view, centre in zip(views, right)] for views in (told.views, found.views)
+    )
+    across = [np.eye(3) - np.outer(view.sight(), view.sight()) for view in measurements.views]
+    assert distance_but_for_a_shift(left, across) < 0.4 * distance_but_for_a_shift(wrong, across)
+
+
+def distance_but_for_a_shift(off, across):
+    """Root mean square of what no shift of the whole scene explains of the views' shifts."""
+    matrix, values = np.concatenate(across), np.concatenate(off)
+    shift = np.linalg.lstsq(matrix, values, rcond=None)[0]
+    return np.sqrt(np.mean((values - matrix @ shift) ** 2))
+
+
 def test_noisier_images_give_larger_standard_errors(problem, device):
     scene, measurements, truth = problem
     noise = ct.Noise(signal_to_noise=10)
@@ -164,7 +192,15 @@ def test_standard_errors_lie_between_scatter_and_error(problem, device):
     assert 0.8 * scatter < said < error
 
 
-@pytest.mark.parametrize("reason", ["unknown noise", "adam", "not asked for", "time limit"])
+ABSENT = {
+    "unknown noise": "standard errors of the images are not known",
+    "adam": "Adam does not tell it",
+    "not asked for": "it was not asked for",
+    "time limit": "ended before its last stage",
+}
+
+
+@pytest.mark.parametrize("reason", ABSENT)
 def test_no_standard_error_is_made_up(problem, device, reason):
     scene, measurements, truth = problem
     options = {"uncertainty": 4, "stages": STAGES}
@@ -176,7 +212,9 @@ def test_no_standard_error_is_made_up(problem, device, reason):
         options["uncertainty"] = 0
     else:
         options["time_limit"] = 1e-6
-    assert recover((scene, measurements, truth), device, **options).standard_error is None
+    result = recover((scene, measurements, truth), device, **options)
+    assert result.standard_error is None
+    assert ABSENT[reason] in result.no_standard_error
 
 
 def test_an_empty_mask_is_refused(problem, device):

@@ -122,3 +122,14 @@ def test_a_run_that_its_time_limit_ended_says_so(outputs, tmp_path):
         assert dataset.attrs["state"] == "stopped by its time limit in stage 1 of 1, iteration 1"
     with xr.open_dataset(outputs / "run" / "reconstruction.nc") as dataset:
         assert dataset.attrs["state"] == "complete"
+
+
+def test_a_run_without_a_standard_error_says_so(outputs, tmp_path, capsys):
+    """On the terminal, in the file, and on the page."""
+    run = tmp_path / "run"
+    assert main(["reconstruct", str(outputs / "run.toml"), "--output", str(run), "--set", 'solver.type="adam"']) == 0
+    reason = "Adam does not tell it"
+    assert reason in " ".join(capsys.readouterr().out.split())
+    with xr.open_dataset(run / "reconstruction.nc") as dataset:
+        assert reason in dataset.attrs["no_standard_error"]
+    assert reason in (run / "report.html").read_text(encoding="utf-8")

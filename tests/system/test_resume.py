@@ -86,6 +86,20 @@ def test_every_checkpoint_leads_to_the_same_bits(problem, device, solver, monkey
         assert len(resumed.stage_ends) == 2
 
 
+def test_motions_of_views_are_the_same_after_a_resume(problem, device, monkeypatch):
+    """Within a stage, whose derivatives are made again by the views as they then stood, and at a stage's end."""
+    monkeypatch.setattr("cloudtomo_cl.inversion.checkpoint._LEAST_WORK", 0.0)
+    scene, measurements, truth = problem
+    uncertain = (scene, replace(measurements, pointing_errors=(2.0,) * 3, position_errors=(0.05,) * 3), truth)
+    taken = []
+    whole = recover(uncertain, device, checkpoint=taken.append, checkpoint_interval=0.0)
+    assert whole.views != measurements.views
+    for checkpoint in (taken[3], taken[6]):
+        resumed = recover(uncertain, device, resume=checkpoint)
+        np.testing.assert_array_equal(resumed.extinction, whole.extinction)
+        assert resumed.views == whole.views
+
+
 def test_a_run_that_was_stopped_goes_on_from_its_file(problem, device, tmp_path):
     path = tmp_path / "checkpoint.npz"
     whole = recover(problem, device)
