@@ -59,6 +59,7 @@ class ReadingOptions:
     droplet_number : cm^-3, from which the effective radius follows where the file has none
     droplet_table : file of a Mie table (`cloudtomo mie`) that water becomes extinction by; by default the
         limit of large droplets
+    wavelength : nm, which one, where the Mie table has several
     layer : thickness of the uniform layers that stretched ones become, km; by default the thinnest
     """
 
@@ -72,6 +73,7 @@ class ReadingOptions:
     effective_radius: float | None = None
     droplet_number: float | None = None
     droplet_table: Path | None = None
+    wavelength: float | None = None
     layer: float | None = None
 
 
@@ -129,6 +131,8 @@ def cloud_volume(
     DataError : missing values that nobody called clear; values that are negative, not finite, zero everywhere, or
         unlike any cloud's where nobody stated the unit; a radius that is missing in the cloud; options without effect
     """
+    if options.wavelength is not None and options.droplet_table is None:
+        raise DataError(f"{path}: --wavelength has no effect: it chooses from a --droplet-table; leave it out")
     values, became = _known(path, field, options)
     if not values.any():
         raise DataError(f"{path}: {field.kind} is zero in every voxel: there is no cloud in this file")
@@ -231,7 +235,7 @@ def _droplet_table(options: ReadingOptions) -> DropletTable | None:
         return None
     from cloudtomo_cl.files.phase import read_droplet_table
 
-    return read_droplet_table(options.droplet_table)
+    return read_droplet_table(options.droplet_table, options.wavelength)
 
 
 def _known_radius(

@@ -60,6 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     read.add_argument("--effective-radius", type=float, metavar="UM", help="of all droplets, um")
     read.add_argument("--droplet-number", type=float, metavar="N", help="cm^-3; gives the radius where no file does")
     read.add_argument("--droplet-table", type=Path, metavar="FILE", help="Mie table that water becomes extinction by")
+    read.add_argument("--wavelength", type=float, metavar="NM", help="nm, of a Mie table that has several")
     read.add_argument("--layer", type=float, metavar="DZ", help="of uniform layers, km (default: the thinnest)")
 
     change = parser.add_argument_group("to change it, in this order")

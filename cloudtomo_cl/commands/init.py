@@ -69,11 +69,11 @@ albedo = 0.05                     # Lambertian; the open sea is about this dark
 # bits = 12
 # calibration_error = 0.02        # of each view's gain
 
-# Several wavelengths into one file: docs/how-to/wavelengths.md says what follows from what.
+# Several wavelengths go into one file: docs/how-to/wavelengths.md says what follows from what.
 # [spectrum]
-# wavelengths = [672.0, 2130.0]   # nm; the phase function must be a table that has them
-# irradiance = [1.5, 0.08]        # W m^-2, in place of that of the sun
-# surface_albedo = [0.05, 0.02]   # in place of that of the surface
+# wavelengths = [672.0]           # nm; several, as [672.0, 2130.0], need a table of phase functions that has them
+# irradiance = [1.5]              # W m^-2, at each, in place of that of the sun
+# surface_albedo = [0.05]         # at each, in place of that of the surface
 
 # One table [[view]] for each image, or for each group of images. This one is a camera above the cloud and eight
 # around it, which look at it {zenith:g} degrees off the vertical.

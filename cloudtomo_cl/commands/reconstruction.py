@@ -141,6 +141,8 @@ def prepare(request: Request) -> Job:
     else:
         folder.check_new()
     scene = settings.scene(stored.get("scene", {}))
+    if scene.wavelength is None:
+        scene = replace(scene, wavelength=measurements.wavelength)
     truth = None if settings.truth is None else read_truth(settings.truth.file, scene.grid, measurements.wavelength)
     check_views(scene, measurements.views)
     device = choose_device(request.device)

@@ -25,8 +25,8 @@ _SAME = 1e-5
 _SHORTEST = 100.0
 _ATTRIBUTES = {"units": UNITS, "long_name": "wavelength in air", "standard_name": "radiation_wavelength"}
 _HOW = (
-    "choose one: [measurements] wavelength in a run file, [spectrum] wavelengths in a scene file, or wavelength=... in "
-    "Python"
+    "choose one: [measurements] wavelength in a run file, [spectrum] wavelengths in a scene file, --wavelength of "
+    "cloudtomo cloud, or wavelength=... in Python"
 )
 
 

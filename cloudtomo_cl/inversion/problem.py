@@ -21,7 +21,7 @@ from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
 from cloudtomo_cl.scene.arrays import filled
 from cloudtomo_cl.scene.grid import Grid, coarsened
-from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.measurements import Measurements, check_wavelength
 from cloudtomo_cl.scene.pointing import moved
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.transport.derivatives import RadianceTable
@@ -88,8 +88,10 @@ class Problem:
 
         Raises
         ------
-        DataError : an array does not fit the scene's grid, no voxel may hold cloud, or no pixel sees one
+        DataError : an array does not fit the scene's grid, scene and images are at different wavelengths, no voxel may
+            hold cloud, or no pixel sees one
         """
+        check_wavelength(scene, measurements)
         device = device or choose_device()
         if mask is None:
             mask = carved_mask(scene, measurements, device)

@@ -38,7 +38,7 @@ from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Grid, resample_in_mask
-from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.measurements import Measurements, check_wavelength
 from cloudtomo_cl.scene.metrics import epsilon
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.seeds import checked_seed
@@ -251,6 +251,7 @@ def check(
     prior, solver = prior or PatchPrior(), solver or GaussNewton()
     stages = stages_of(scene.grid, stages, solver)
     checked_seed(seed)
+    check_wavelength(scene, measurements)
     if truth is not None and np.shape(truth) != scene.grid.shape:
         raise DataError(f"truth has shape {np.shape(truth)}, the grid {scene.grid.shape}")
     if truth is not None:

@@ -20,6 +20,8 @@ from cloudtomo_cl.scene.sensors import RayView, View
 
 # Share of a larger pixel that must not be bad: half, up to rounding.
 _LEAST_VALID = 0.5 - 1e-9
+# Wavelengths that differ by a smaller share are the same.
+_SAME_WAVELENGTH = 1e-5
 # Standard errors of views: below what, and what is allowed, in words. Beyond, a camera is not known at all.
 _ERRORS_OF_VIEWS = {
     "calibration_errors": (1.0, "at least 0, below 1"),
@@ -215,3 +217,10 @@ class Measurements:
             difference = modelled.images[index] - image
             differences.append(np.divide(difference, error, out=np.full(image.shape, np.nan), where=error > 0))
         return differences
+
+
+def check_wavelength(scene: Scene, measurements: Measurements) -> None:
+    """DataError if a scene and its images are at different wavelengths, as far as both are known."""
+    one, other = scene.wavelength, measurements.wavelength
+    if one is not None and other is not None and not np.isclose(one, other, rtol=_SAME_WAVELENGTH, atol=0.0):
+        raise DataError(f"the scene is at {one:g} nm, the images are of {other:g} nm: take optics of their wavelength")

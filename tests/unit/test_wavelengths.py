@@ -85,6 +85,11 @@ def test_one_wavelength_has_no_dimension(folder):
     assert same(ct.read_measurements("one.nc"), RED) and same(ct.read_measurements("one.nc", 672.0), RED)
 
 
+def test_the_only_wavelength_of_a_dimension_need_not_be_chosen():
+    dataset = ct.measurements_dataset([RED, INFRARED]).isel(wavelength=[1])
+    assert same(ct.read_measurements(dataset), INFRARED)
+
+
 def test_images_without_a_wavelength_are_written_as_ever(folder):
     dataset = ct.measurements_dataset(ct.Measurements(RED.views, RED.images, RED.standard_errors))
     assert "wavelength" not in dataset.variables and ct.read_measurements(dataset).wavelength is None
@@ -153,6 +158,13 @@ def test_an_impossible_wavelength_is_refused():
         ct.Measurements(RED.views, RED.images, RED.standard_errors, wavelength=-1)
 
 
+def test_a_scene_at_another_wavelength_than_the_images_is_refused(device):
+    scene = ct.Scene(GRID, ct.Sun(30.0), wavelength=2130.0)
+    for solve in (ct.Problem.of, ct.reconstruct):
+        with pytest.raises(DataError, match="the scene is at 2130 nm, the images are of 672 nm"):
+            solve(scene, RED, device=device)
+
+
 def test_tables_of_several_wavelengths_come_back_one_by_one(folder):
     assert ct.read_wavelengths("mie.nc") == (672.0, 2130.0)
     assert ct.read_droplet_table("mie.nc", 672.0) == table(672.0)
@@ -217,6 +229,18 @@ def test_the_cloud_says_at_which_wavelength_it_is(folder, known, at):
         np.testing.assert_allclose(extinction, EXTINCTION * efficiency / before, rtol=1e-6)
 
 
+def test_a_file_of_images_is_a_cloud_at_each_of_its_wavelengths(folder):
+    ct.write_measurements("images.nc", [RED, INFRARED], cloud=(GRID, [EXTINCTION, 3 * EXTINCTION], None))
+    read = read_scene_file(folder / "scene.toml", ['cloud.file="images.nc"'])
+    for extinction, factor in zip(read.extinctions, (1, 3)):
+        np.testing.assert_array_equal(extinction, factor * EXTINCTION)
+    with pytest.raises(DataError, match="images.nc: has no 865 nm"):
+        read_scene_file(
+            folder / "scene.toml",
+            ['cloud.file="images.nc"', "spectrum.wavelengths=[865.0]", "cloud.phase_function={g=0.8}"],
+        )
+
+
 def test_a_reference_may_be_said_in_the_scene(folder):
     read = read_scene_file(folder / "scene.toml", ["spectrum.reference=2130"])
     np.testing.assert_array_equal(read.extinctions[1], EXTINCTION)
@@ -236,6 +260,19 @@ def test_water_is_turned_into_extinction_at_the_wavelength_of_its_table(folder):
         assert volume.wavelength == expected == volume.coarsened((1, 2, 2)).wavelength == volume.rotated(90).wavelength
         kept = ct.extinction_dataset(GRID, volume.extinction, None, volume.effective_radius, wavelength=expected)
         assert ct.read_cloud(kept).wavelength == expected
+
+
+@pytest.mark.parametrize("wavelength", [672, 2130])
+def test_the_command_chooses_a_wavelength_of_the_table(folder, wavelength, capsys):
+    (folder / "water.txt").write_text("# rico\n3 3 3\n0.1 0.1 0.1 0.2 0.3\n1 1 1 0.3 8.0\n1 1 2 0.5 9.0\n")
+    command = "cloud water.txt --droplet-table mie.nc --output water.nc --quiet"
+    assert main(command.split()) == 2 and "--wavelength of cloudtomo cloud" in capsys.readouterr().err
+    assert main(f"{command} --wavelength {wavelength}".split()) == 0
+    assert read_extinction_wavelength("water.nc") == wavelength
+    water = ct.extinction_from_water(0.5, 9.0, ct.read_droplet_table("mie.nc", wavelength))
+    assert ct.read_extinction("water.nc")[1].max() == pytest.approx(float(water), rel=1e-6)
+    assert main("cloud water.txt --wavelength 672 --quiet".split()) == 2
+    assert "--wavelength has no effect: it chooses from a --droplet-table" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
