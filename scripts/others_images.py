@@ -36,7 +36,9 @@ from cloudtomo_cl.scene.pixel_errors import pooled_standard_errors
 _EDGE, _BASE = 0.8, 0.2
 _HEIGHT, _RADIUS, _FIELD_OF_VIEW = 2.0, 0.7, 40.0
 # Noise of two files of images is the same if their variances differ by no more.
-_SAME_NOISE, _TRIALS = 0.05, 4
+_SAME_NOISE, _TRIALS = 0.05, 5
+# The first trial has so many times fewer paths than the other images, but at least so many.
+_PILOT, _LEAST_PILOT = 8, 128
 # Added to the seeds of the images that own ones are held against.
 _AGAIN = 1000
 
@@ -111,13 +113,14 @@ def images_of_mitsuba(problem: Problem, paths: int, renders: int, seed: int) -> 
 def own_images(problem: Problem, paths: int, seed: int, like: ct.Measurements) -> ct.Measurements:
     """The views as this project renders them by plain local estimates, with the noise of other images."""
     operator = ct.RadianceOperator(problem.scene, problem.views, estimator="plain")
+    count = max(_LEAST_PILOT, paths // _PILOT)
     for _ in range(_TRIALS):
-        images = ct.Measurements.rendered(operator, operator.render(problem.extinction, paths, seed))
+        images = ct.Measurements.rendered(operator, operator.render(problem.extinction, count, seed))
         ratio = (noise(images) / noise(like)) ** 2
-        print(f"  {paths} paths a pixel: {ratio:.3f} of the other images' variance", flush=True)
+        print(f"  {count} paths a pixel: {ratio:.3f} of the other images' variance", flush=True)
         if abs(ratio - 1) < _SAME_NOISE:
             break
-        paths = max(2, 2 * round(paths * ratio / 2))
+        count = max(2, 2 * round(count * ratio / 2))
     return images
 
 
@@ -191,6 +194,7 @@ def main() -> int:
     parser.add_argument("--renders", type=int, default=16, help="by which these are divided (16)")
     parser.add_argument("--seeds", type=int, nargs="+", default=[2], help="of images and recoveries (2)")
     parser.add_argument("--cpu-seconds", type=float, default=120.0, help="of each recovery (120)")
+    parser.add_argument("--again", action="store_true", help="recover from the second own images, too: the spread")
     parser.add_argument("--output", type=Path, required=True)
     arguments = parser.parse_args()
     arguments.output.mkdir(parents=True, exist_ok=True)
@@ -214,7 +218,8 @@ def main() -> int:
             lambda seed=seed, theirs=theirs: own_images(problem, arguments.paths, _AGAIN + seed, theirs),  # type: ignore[misc]
         )
         row = {"seed": seed, "mitsuba - own": agreement(theirs, ours), "own - own": agreement(again, ours)}
-        for name, images in (("mitsuba", theirs), ("own", ours), ("own, again", again)):
+        recoveries = {"mitsuba": theirs, "own": ours} | ({"own, again": again} if arguments.again else {})
+        for name, images in recoveries.items():
             row[f"from {name}"] = recovered(problem, images, seed, arguments.cpu_seconds)
         show(row)
         rows.append(row)
