@@ -39,6 +39,8 @@ _HEIGHT, _RADIUS, _FIELD_OF_VIEW = 2.0, 0.7, 40.0
 _SAME_NOISE, _TRIALS = 0.05, 5
 # The first trial has so many times fewer paths than the other images, but at least so many.
 _PILOT, _LEAST_PILOT = 8, 128
+# Standard error, in mean radiances, below which a difference is not measured in standard errors.
+_NOISELESS = 0.01
 # Added to the seeds of the images that own ones are held against.
 _AGAIN = 1000
 
@@ -134,11 +136,17 @@ def noise(measurements: ct.Measurements) -> float:
 
 
 def agreement(theirs: ct.Measurements, ours: ct.Measurements) -> dict[str, float]:
-    """How far images differ, pixel by pixel and as a whole, with what noise alone would do to each number."""
-    z = np.concatenate([array.ravel() for array in ours.differences(theirs)])
-    z = z[np.isfinite(z)]
-    means = [sum(image.sum() for image in one.images) for one in (theirs, ours)]
-    variance = [sum((error**2).sum() for error in one.standard_errors) for one in (theirs, ours)]
+    """How far images differ, pixel by pixel and as a whole, with what noise alone would do to each number.
+
+    z is of pixels with an error of at least 1 % of the mean radiance. Ground that the cloud hardly lights has nearly
+    none, and what it has comes by rare paths: there the relative difference is told.
+    """
+    first, second = (np.concatenate([image.ravel() for image in one.images]) for one in (theirs, ours))
+    error = np.hypot(*(np.concatenate([array.ravel() for array in one.standard_errors]) for one in (theirs, ours)))
+    noisy = error > _NOISELESS * second.mean()
+    z = (first - second)[noisy] / error[noisy]
+    means = first.sum(), second.sum()
+    variance = [sum((array**2).sum() for array in one.standard_errors) for one in (theirs, ours)]
     return {
         "pixels": z.size,
         "mean z": float(z.mean()),
@@ -147,6 +155,7 @@ def agreement(theirs: ct.Measurements, ours: ct.Measurements) -> dict[str, float
         "largest |z|": float(np.abs(z).max()),
         "mean radiance / ours - 1": float(means[0] / means[1] - 1),
         "error of that": float(np.hypot(np.sqrt(variance[0]) / means[0], np.sqrt(variance[1]) / means[1])),
+        "other pixels / ours - 1": float(first[~noisy].sum() / second[~noisy].sum() - 1) if not noisy.all() else 0.0,
         "noise, theirs": noise(theirs),
         "noise, ours": noise(ours),
     }
