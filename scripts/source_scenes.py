@@ -132,7 +132,8 @@ def run_settings(arguments: argparse.Namespace, scene: SourceScene, shape: tuple
     return tables + (stage_settings(scene, shape) if arguments.source_stages else "")
 
 
-def main() -> int:
+def parsed() -> argparse.Namespace:
+    """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scene", choices=["c", "f", "c-like", "f-like"])
     parser.add_argument("--data", type=Path, default=os.environ.get("CLOUDTOMO_DATA", "../shared/data"))
@@ -151,7 +152,11 @@ def main() -> int:
     parser.add_argument("--iterations", type=int, default=MOST_ITERATIONS, help="of a stage at most, by its method")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="of all reconstructions")
     parser.add_argument("--figures-only", action="store_true", help="of the runs that are there")
-    arguments = parser.parse_args()
+    return parser.parse_args()
+
+
+def main() -> int:
+    arguments = parsed()
     output: Path = arguments.output
     if arguments.figures_only:
         draw(output)
