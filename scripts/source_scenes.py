@@ -132,6 +132,16 @@ def run_settings(arguments: argparse.Namespace, scene: SourceScene, shape: tuple
     return tables + (stage_settings(scene, shape) if arguments.source_stages else "")
 
 
+def priors(arguments: argparse.Namespace) -> list[tuple[str, list[str]]]:
+    """What the folders of runs begin with, and the settings that are theirs: without and with monotonicity."""
+    monotonicity = arguments.monotonicity
+    if arguments.as_in_the_paper and monotonicity is None:
+        monotonicity = METHODS[arguments.scene[0]].monotonicity
+    if monotonicity is None:
+        return [("", [])]
+    return [("", []), ("monotonicity-", ["prior.type=smoothness", f"prior.monotonicity={monotonicity}"])]
+
+
 def parsed() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -192,14 +202,8 @@ def main() -> int:
 
     tables = f'[measurements]\nfile = "{os.path.relpath(images, output)}"\n[truth]\nfile = "cloud.nc"\n'
     (output / "run.toml").write_text(tables + run_settings(arguments, scene, shape))  # type: ignore[arg-type]
-    priors: list[tuple[str, list[str]]] = [("", [])]
-    monotonicity = arguments.monotonicity
-    if arguments.as_in_the_paper and monotonicity is None:
-        monotonicity = METHODS[arguments.scene[0]].monotonicity
-    if monotonicity is not None:
-        priors.append(("monotonicity-", ["prior.type=smoothness", f"prior.monotonicity={monotonicity}"]))
     for seed in arguments.seeds:
-        for name, overrides in priors:
+        for name, overrides in priors(arguments):
             folder = output / f"{name}seed-{seed}"
             run = ["reconstruct", output / "run.toml", "--seed", seed, "--output", folder, "--no-report", "--resume"]
             for override in [*overrides, *arguments.set]:
