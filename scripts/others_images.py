@@ -23,7 +23,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from benchmarks.mitsuba_peer import Missing, MitsubaScene
@@ -127,12 +126,16 @@ def own_images(problem: Problem, paths: int, seed: int, like: ct.Measurements) -
 
 
 def noise(measurements: ct.Measurements) -> float:
-    """Root mean square of the standard errors over that of the radiances."""
+    """Median standard error of the pixels brighter than the mean, over the mean radiance.
+
+    The root mean square is that of the rarest bright paths, which Mitsuba's roulette makes rarer and brighter; in a
+    recovery pixels that have one weigh little.
+    """
     errors, images = (
         np.concatenate([array.ravel() for array in arrays])
         for arrays in (measurements.standard_errors, measurements.images)
     )
-    return float(np.sqrt(np.mean(errors**2) / np.mean(images**2)))
+    return float(np.median(errors[images > images.mean()]) / images.mean())
 
 
 def agreement(theirs: ct.Measurements, ours: ct.Measurements) -> dict[str, float]:
@@ -184,14 +187,10 @@ def kept(file: Path, make: Callable[[], ct.Measurements]) -> ct.Measurements:
     return ct.read_measurements(file)
 
 
-def show(row: dict[str, Any]) -> None:
+def show(row: dict[str, dict[str, float]]) -> None:
     """To the terminal."""
     for name, numbers in row.items():
-        if isinstance(numbers, dict):
-            print(f"{name}: " + ", ".join(f"{key} {value:.4g}" for key, value in numbers.items()))
-        else:
-            print(f"{name} {numbers}")
-    sys.stdout.flush()
+        print(f"{name}: " + ", ".join(f"{key} {value:.4g}" for key, value in numbers.items()), flush=True)
 
 
 def main() -> int:
@@ -208,7 +207,8 @@ def main() -> int:
     arguments = parser.parse_args()
     arguments.output.mkdir(parents=True, exist_ok=True)
     problem = scene_c(arguments.pixels) if arguments.scene_c else generated(arguments.voxels, arguments.pixels)
-    rows = []
+    file = arguments.output / "numbers.json"
+    rows = json.loads(file.read_text()) if file.exists() else {}
     for seed in arguments.seeds:
         try:
             theirs = kept(
@@ -218,21 +218,22 @@ def main() -> int:
         except Missing as reason:
             print(reason, file=sys.stderr)
             return 2
-        ours = kept(
-            arguments.output / f"own-{seed}.nc",
-            lambda seed=seed, theirs=theirs: own_images(problem, arguments.paths, seed, theirs),  # type: ignore[misc]
+        ours, again = (
+            kept(
+                arguments.output / f"{name}-{seed}.nc",
+                lambda more=more, seed=seed, theirs=theirs: own_images(problem, arguments.paths, more + seed, theirs),  # type: ignore[misc]
+            )
+            for name, more in (("own", 0), ("again", _AGAIN))
         )
-        again = kept(
-            arguments.output / f"again-{seed}.nc",
-            lambda seed=seed, theirs=theirs: own_images(problem, arguments.paths, _AGAIN + seed, theirs),  # type: ignore[misc]
-        )
-        row = {"seed": seed, "mitsuba - own": agreement(theirs, ours), "own - own": agreement(again, ours)}
+        row = rows.setdefault(str(seed), {})
+        row |= {"mitsuba - own": agreement(theirs, ours), "own - own": agreement(again, ours)}
         recoveries = {"mitsuba": theirs, "own": ours} | ({"own, again": again} if arguments.again else {})
         for name, images in recoveries.items():
-            row[f"from {name}"] = recovered(problem, images, seed, arguments.cpu_seconds)
+            if f"from {name}" not in row:
+                row[f"from {name}"] = recovered(problem, images, seed, arguments.cpu_seconds)
+                file.write_text(json.dumps(rows, indent=1) + "\n")
+        print(f"seed {seed}")
         show(row)
-        rows.append(row)
-        (arguments.output / "numbers.json").write_text(json.dumps(rows, indent=1) + "\n")
     return 0
 
 
