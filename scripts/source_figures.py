@@ -92,7 +92,7 @@ def mark_stages(axes: Axes, history: dict[str, np.ndarray]) -> None:
     ends = np.flatnonzero(np.append(np.diff(history["stage"]) != 0, True))
     for end in ends:
         stage = int(history["stage"][end])
-        axes.axvline(history["seconds"][end], color=colours[stage % len(colours)], label=f"end of stage {stage + 1}")
+        axes.axvline(history["seconds"][end], color=colours[stage % len(colours)], label=f"end of stage {stage}")
 
 
 def plot_stages(figure: Figure, run: Run) -> None:
@@ -100,7 +100,7 @@ def plot_stages(figure: Figure, run: Run) -> None:
     done = np.unique(run.history["stage"]).astype(int)
     voxels, sought, pixels, seen, each, paths = [], [], [], [], [], []
     for index in done:
-        stage = run.stages[index]
+        stage = run.stages[index - 1]
         mask = coarsened(run.mask, stage.grid)
         images = run.measurements.at_share(stage.pixels)
         voxels.append(mask.size)
@@ -119,9 +119,9 @@ def plot_stages(figure: Figure, run: Run) -> None:
     )
     for axes, (title, lines) in zip(figure.subplots(2, 2).flat, panels):
         for name, values in lines.items():
-            axes.plot(done + 1, values, "o-", label=name)
+            axes.plot(done, values, "o-", label=name)
         axes.set_yscale("log")
-        axes.set_xticks(done + 1)
+        axes.set_xticks(done)
         axes.set_xlabel("stage")
         axes.set_title(title)
         if len(lines) > 1:

@@ -3,13 +3,16 @@
     python scripts/source_scenes.py c --data ../shared/data --output runs/scene-c --time-limit 600
     python scripts/source_scenes.py f --output runs/scene-f --monotonicity 1 --seeds 2 3 4 5 6
     python scripts/source_scenes.py c-like --output runs/quick --quick
+    python scripts/source_scenes.py f --output runs/paper-f --as-in-the-paper --seeds 2 3 4
 
 Simulates nine views with the source's cameras (scene C: 76 x 76 pixels, 8192 samples; scene F:
 86 x 86, 4096), then reconstructs with other random numbers, by smoothness alone and, with
 `--monotonicity`, by both priors of the source; renders a view that was not used, 50.4 degrees off
 nadir, from the true and the recovered cloud; and draws (source_figures.py). `--data` (or
 CLOUDTOMO_DATA) is the folder that holds scene_c.nc and scene_f.nc; c-like and f-like are generated
-clouds on their grids. `--quick` halves voxels and pixels. What is in the output folder already is
+clouds on their grids. `--quick` halves voxels and pixels, `--coarsen` divides them by any number.
+`--as-in-the-paper` recovers by the paper's own method (paper_method.py), without and with its
+monotonicity prior; `--photons` and `--iterations` make that affordable. What is in the output folder already is
 not made again, and a run that was stopped goes on: repeat the command.
 """
 
@@ -23,6 +26,7 @@ from dataclasses import dataclass
 from math import cos, radians, sin
 from pathlib import Path
 
+from paper_method import METHODS, MOST_ITERATIONS, grids_of_stages, paper_settings, share_of_pixels
 from source_figures import draw
 
 
@@ -30,7 +34,8 @@ from source_figures import draw
 class SourceScene:
     """The source's cameras: one at nadir and a ring of eight, all looking at one point. km, degrees.
 
-    `stages` are voxels along x and z, and `kind` is the generator's of a look-alike.
+    `stages` are voxels along x and z, `coarsened` says along which axes coarser grids have fewer, and `kind` is the
+    generator's of a look-alike.
     """
 
     centre: float
@@ -41,25 +46,25 @@ class SourceScene:
     pixels: int
     samples: int
     shape: tuple[int, int, int]
-    coarser: tuple[int, int, int]
+    coarsened: tuple[bool, bool, bool]
     kind: str
     stages: tuple[tuple[int, int], ...]
 
 
 SCENES = {
     "c": SourceScene(
-        0.38, 1.647, 1.013, 0.50, 85.4, 76, 8192, (38, 38, 38), (2, 2, 2), "cumulus",
+        0.38, 1.647, 1.013, 0.50, 85.4, 76, 8192, (38, 38, 38), (True, True, True), "cumulus",
         tuple((n, n) for n in (4, 6, 8, 11, 16, 23, 32, 38)),
     ),
     "f": SourceScene(
-        0.86, 2.16, 0.27, 1.02, 69.7, 86, 4096, (86, 86, 27), (2, 2, 1), "field",
+        0.86, 2.16, 0.27, 1.02, 69.7, 86, 4096, (86, 86, 27), (True, True, False), "field",
         ((4, 4), (8, 8), (16, 16), (32, 27), (64, 27), (86, 27)),
     ),
 }  # fmt: skip
 SPACING = (0.02, 0.02, 0.04)
 # Of the view that is not used, and its azimuth: half-way between two cameras of the ring.
 UNSEEN_ZENITH, UNSEEN_AZIMUTH = 50.4, 22.5
-QUICK_SECONDS = 60.0
+SECONDS, QUICK_SECONDS = 600.0, 60.0
 
 
 def scene_settings(scene: SourceScene, cloud: Path, views: str) -> str:
@@ -106,29 +111,62 @@ pixels = {[pixels, pixels]}
 
 def stage_settings(scene: SourceScene, shape: tuple[int, int, int]) -> str:
     """The source's stages on a grid; pixels and iterations as in automatic ones."""
-    grids = sorted({tuple(min(n, most) for n, most in zip((xy, xy, z), shape)) for xy, z in scene.stages})
+    grids = sorted(set(grids_of_stages(scene.stages, shape)))
     tables = []
     for grid in grids:
         last = grid == grids[-1]
-        share, iterations = min(1.0, 2 * max(grid) / max(shape)), 30 if last else 4
+        share, iterations = share_of_pixels(grid, shape), 30 if last else 4
         tables.append(f"[[stage]]\ngrid = {[*grid]}\npixels = {share}\niterations = {iterations}\nwindow = 30\n")
     return "".join(tables)
 
 
-def main() -> int:
+def run_settings(arguments: argparse.Namespace, scene: SourceScene, shape: tuple[int, int, int]) -> str:
+    """Tables of how to recover: time limit, and where asked for stages or the paper's method."""
+    time_limit = arguments.time_limit
+    if time_limit is None and not arguments.as_in_the_paper:
+        time_limit = QUICK_SECONDS if arguments.quick else SECONDS
+    tables = "" if time_limit is None else f"[run]\ntime_limit = {time_limit}\n"
+    if arguments.as_in_the_paper:
+        method = METHODS[arguments.scene[0]]
+        return tables + paper_settings(method, scene.stages, shape, arguments.photons, arguments.iterations)
+    return tables + (stage_settings(scene, shape) if arguments.source_stages else "")
+
+
+def priors(arguments: argparse.Namespace) -> list[tuple[str, list[str]]]:
+    """What the folders of runs begin with, and the settings that are theirs: without and with monotonicity."""
+    monotonicity = arguments.monotonicity
+    if arguments.as_in_the_paper and monotonicity is None:
+        monotonicity = METHODS[arguments.scene[0]].monotonicity
+    if monotonicity is None:
+        return [("", [])]
+    return [("", []), ("monotonicity-", ["prior.type=smoothness", f"prior.monotonicity={monotonicity}"])]
+
+
+def parsed() -> argparse.Namespace:
+    """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scene", choices=["c", "f", "c-like", "f-like"])
     parser.add_argument("--data", type=Path, default=os.environ.get("CLOUDTOMO_DATA", "../shared/data"))
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--images", type=Path, help="take these instead of rendering them")
-    parser.add_argument("--quick", action="store_true", help="half of voxels and pixels along x and y, 60 s")
-    parser.add_argument("--time-limit", type=float, help="seconds of each reconstruction (600; quick: 60)")
+    parser.add_argument("--quick", action="store_true", help="as --coarsen 2 --time-limit 60")
+    parser.add_argument("--coarsen", type=int, default=1, metavar="N", help="voxels and pixels along an axis, by N (1)")
+    parser.add_argument(
+        "--time-limit", type=float, help="seconds of each reconstruction (600; quick: 60; as in the paper: none)"
+    )
     parser.add_argument("--seeds", type=int, nargs="+", default=[2], help="of reconstructions (2); images have 1")
     parser.add_argument("--monotonicity", type=float, help="weight mu2 of runs with the monotonicity prior, too")
     parser.add_argument("--source-stages", action="store_true", help="eight (C) or six (F), as in the source")
+    parser.add_argument("--as-in-the-paper", action="store_true", help="by the paper's method, with either prior")
+    parser.add_argument("--photons", type=float, default=1.0, help="share of the paper's, by its method (1)")
+    parser.add_argument("--iterations", type=int, default=MOST_ITERATIONS, help="of a stage at most, by its method")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="of all reconstructions")
     parser.add_argument("--figures-only", action="store_true", help="of the runs that are there")
-    arguments = parser.parse_args()
+    return parser.parse_args()
+
+
+def main() -> int:
+    arguments = parsed()
     output: Path = arguments.output
     if arguments.figures_only:
         draw(output)
@@ -140,10 +178,9 @@ def main() -> int:
         print(f"{source} is not there: give its folder with --data, or in CLOUDTOMO_DATA", file=sys.stderr)
         return 2
     output.mkdir(parents=True, exist_ok=True)
-    reduction = 2 if arguments.quick else 1
+    reduction = max(arguments.coarsen, 2 if arguments.quick else 1)
     pixels, samples = scene.pixels // reduction, scene.samples // reduction**2
-    time_limit = arguments.time_limit or (QUICK_SECONDS if arguments.quick else 600.0)
-    coarser = scene.coarser if arguments.quick else (1, 1, 1)
+    coarser = [reduction if along else 1 for along in scene.coarsened]
     shape = tuple(n // by for n, by in zip(scene.shape, coarser))
 
     cloud = output / "cloud.nc"
@@ -164,15 +201,9 @@ def main() -> int:
     steps.append((true_view, ["render", output / "unseen.toml", *unseen, "--output", true_view]))
 
     tables = f'[measurements]\nfile = "{os.path.relpath(images, output)}"\n[truth]\nfile = "cloud.nc"\n'
-    tables += f"[run]\ntime_limit = {time_limit}\n"
-    if arguments.source_stages:
-        tables += stage_settings(scene, shape)  # type: ignore[arg-type]
-    (output / "run.toml").write_text(tables)
-    priors: list[tuple[str, list[str]]] = [("", [])]
-    if arguments.monotonicity is not None:
-        priors.append(("monotonicity-", ["prior.type=smoothness", f"prior.monotonicity={arguments.monotonicity}"]))
+    (output / "run.toml").write_text(tables + run_settings(arguments, scene, shape))  # type: ignore[arg-type]
     for seed in arguments.seeds:
-        for name, overrides in priors:
+        for name, overrides in priors(arguments):
             folder = output / f"{name}seed-{seed}"
             run = ["reconstruct", output / "run.toml", "--seed", seed, "--output", folder, "--no-report", "--resume"]
             for override in [*overrides, *arguments.set]:

@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks.scenes import Case
+from cloudtomo_cl.scene.sensors import image_axes, line_of_sight
 
 _LIBRARIES = "/usr/lib/*/libLLVM.so.19*", "/usr/lib/llvm-19/lib/libLLVM.so*", "/usr/lib/*/libLLVM*"
 VARIANT = "llvm_ad_mono"
+# km: Mitsuba starts rays up to 3e-4 (1 + their coordinates) beside a surface, and takes a ground within that of the
+# cloud's box for hit from inside.
+_GROUND_BELOW = 5e-3
 
 
 class Missing(Exception):
@@ -36,7 +40,11 @@ def load() -> Any:
 
 
 class MitsubaScene:
-    """A case as Mitsuba sees it: nearest voxel, no cap on the number of scatterings."""
+    """A case as Mitsuba sees it: nearest voxel, no cap on the number of scatterings.
+
+    The ground lies at z = 0 or, where that is too close to the grid, 5 m below it. The camera stands outside of the
+    grid.
+    """
 
     def __init__(self, case: Case) -> None:
         self.mitsuba = mi = load()
@@ -45,7 +53,8 @@ class MitsubaScene:
         self.drjit = drjit
         self.view, self.count = case.view, case.view.pixels[0] * case.view.pixels[1]
         extent = [float(edge) for edge in case.scene.grid.extent]
-        transform = mi.ScalarTransform4f()
+        origin = [float(corner) for corner in case.scene.grid.origin]
+        transform = mi.ScalarTransform4f().translate(origin)
         self.key = "cloud.interior_medium.sigma_t.data"
         data = np.ascontiguousarray(case.extinction.transpose(2, 1, 0)[..., None])
         volume = {
@@ -61,8 +70,9 @@ class MitsubaScene:
             "type": "hdrfilm", "width": case.view.pixels[0], "height": case.view.pixels[1],
             "pixel_format": "luminance", "component_format": "float32", "rfilter": {"type": "box"},
         }  # fmt: skip
-        look = transform.look_at(
-            origin=list(case.view.position), target=list(case.view.target), up=[float(x) for x in case.view.up]
+        _, up = image_axes(line_of_sight(case.view.position, case.view.target), case.view.up)
+        look = mi.ScalarTransform4f().look_at(
+            origin=list(case.view.position), target=list(case.view.target), up=[float(x) for x in up]
         )
         description = {
             "type": "scene",
@@ -79,9 +89,11 @@ class MitsubaScene:
                 "irradiance": case.scene.sun.irradiance,
             },
         }  # fmt: skip
+        ground = min(0.0, origin[2] - _GROUND_BELOW)
         if case.scene.surface.albedo > 0:
             description["ground"] = {
-                "type": "rectangle", "to_world": transform.translate([0, 0, -1e-4]).scale([1000, 1000, 1]),
+                "type": "rectangle",
+                "to_world": mi.ScalarTransform4f().translate([0, 0, ground]).scale([1000, 1000, 1]),
                 "bsdf": {"type": "diffuse", "reflectance": case.scene.surface.albedo},
             }  # fmt: skip
         self.scene = mi.load_dict(description)

@@ -34,7 +34,6 @@ LONGER_FILES = {
 LONGER_FUNCTIONS = {
     "cloudtomo_cl/clouds/mie.py:droplet_table": 61,  # a signature of nine lines
     "scripts/benchmarks/peers.py:gradient": 61,  # another program's script, as it is run
-    "scripts/source_scenes.py:main": 79,  # options, and four figures one after the other
 }
 
 

@@ -37,6 +37,14 @@ def test_a_state_comes_back_field_by_field():
     np.testing.assert_array_equal(back.extinction, np.arange(5))
 
 
+def test_a_state_without_one_of_its_parts_can_be_kept_and_comes_back():
+    """As that of a descent by replayed paths, which has no radiance table."""
+    arrays = arrays_of(state(rate=None))
+    assert set(arrays) == {"inner.mean", "inner.steps", "extinction", "walked"}
+    assert all(array.dtype != object for array in arrays.values())
+    assert restored(state(rate=None), arrays).rate is None
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -61,3 +61,19 @@ def test_the_sources_stages_are_eight_and_six(scripts):
         for name, scene in module.SCENES.items()
     }
     assert counts == {"c": 8, "f": 6}
+
+
+def test_stages_are_counted_from_one_as_in_histories(scripts):
+    """Two stages of one and two iterations; 10 paths each."""
+    figures, _ = scripts
+    view = OrthographicView(zenith=0, width=0.9, pixels=(8, 8))
+    images = Measurements((view,), (np.ones((8, 8)),), (np.full((8, 8), 0.1),))
+    history = {"stage": np.array([1.0, 2.0, 2.0]), "paths": np.array([10.0, 20.0, 30.0])}
+    stages = tuple(figures.Stage(grid=(n, n, n)) for n in (2, 4))
+    grid, full = Grid(shape=(4, 4, 4), spacing=(0.2, 0.2, 0.2)), np.ones((4, 4, 4))
+    run = figures.Run(Path("."), "", 2, grid, full, full > 0, history, stages, images)
+    figure = figures.new_figure(8, 6)
+    figures.plot_stages(figure, run)
+    voxels, paths = figure.axes[0].lines[0], figure.axes[3].lines[0]
+    assert list(voxels.get_xdata()) == [1, 2] and list(voxels.get_ydata()) == [8, 64]
+    assert list(paths.get_ydata()) == [10, 20]

@@ -85,7 +85,9 @@ def _check(name: str, array: np.ndarray, like: np.ndarray, any_length: bool = Fa
 
 
 def _saved(state: Any) -> list[tuple[str, Any]]:
-    return [(own.name, getattr(state, own.name)) for own in fields(state) if own.metadata.get("saved", True)]
+    """Names and values of the fields that checkpoints hold; what is none is so by the solver's settings."""
+    values = [(own.name, getattr(state, own.name)) for own in fields(state) if own.metadata.get("saved", True)]
+    return [(name, value) for name, value in values if value is not None]
 
 
 def _field(state: Any, name: str) -> Any:
