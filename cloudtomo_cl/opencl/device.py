@@ -20,10 +20,13 @@ import numpy as np
 from cloudtomo_cl.errors import BuildError, DeviceError
 from cloudtomo_cl.opencl import kernel_cache
 from cloudtomo_cl.opencl.arrays import DeviceArray
-from cloudtomo_cl.opencl.parameters import KERNELS, Kernel
+from cloudtomo_cl.opencl.parameters import KERNELS, TURNS, Kernel
 
 ENVIRONMENT_VARIABLE = "CLOUDTOMO_DEVICE"
 WORK_GROUP_SIZE = 64
+# On a GPU a work item walks several paths, one after the other (kernels/walk/turns.h): at most so many, and so few that
+# so many groups are left for every compute unit, which some of them wait for.
+_MOST_TURNS, _GROUPS_OF_UNIT = 64, 64
 # Work items of the first launch of its kind, of the largest, and what a launch should take.
 _FIRST_LAUNCH = 1 << 18
 _LARGEST_LAUNCH = 1 << 24
@@ -178,12 +181,24 @@ def list_devices() -> list[DeviceInfo]:
     ]
 
 
+def _options(device: Any) -> tuple[str, ...]:
+    """Of its compiler: no warnings on the terminal of users; on a GPU divisions and square roots as on CPUs."""
+    cl = _import_pyopencl()
+    options = ("-cl-std=CL1.2", "-w")
+    exact = bool(device.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT)
+    if exact and device.type & cl.device_type.GPU:
+        options += ("-cl-fp32-correctly-rounded-divide-sqrt",)
+    return options
+
+
 class Device:
     """An OpenCL device with its context, queue and built kernels.
 
     Attributes
     ----------
     lock : of what threads share: a kernel's arguments are its own, from when they are set until it is launched
+    regenerates : whether work items walk several paths, for they go in step
+    options : of its compiler
     """
 
     @device_errors("opening the device")
@@ -194,6 +209,8 @@ class Device:
         self.queue = cl.CommandQueue(self.context)
         self.name = opencl_device.name.strip()
         self.accumulation = _accumulation(opencl_device)
+        self.regenerates = bool(opencl_device.type & cl.device_type.GPU)
+        self.options = _options(opencl_device)
         for part, fault in _FAULTS.items():
             if part in self.name:
                 warnings.warn(f"device {self.name}: {fault} (`cloudtomo devices` lists them)", RuntimeWarning, 2)
@@ -236,11 +253,13 @@ class Device:
             cl = _import_pyopencl()
             kernel_cache.check()
             with _include_folders() as folders:
-                options = ["-cl-std=CL1.2", "-w"]  # no warnings on the terminal of users
+                options = list(self.options)
                 for folder in folders:
                     options += ["-I", folder]
                 if self.accumulation == _WIDE_ATOMICS:
                     options += ["-D", "CLOUDTOMO_WIDE_ATOMICS"]
+                if self.regenerates:
+                    options += ["-D", "CLOUDTOMO_REGENERATES"]
                 try:
                     with warnings.catch_warnings():
                         # Remarks of a compiler that succeeded are nothing for users.
@@ -318,9 +337,22 @@ class Device:
 
         return pyopencl.array.empty(self.queue, shape, dtype)
 
+    def turns(self, paths: int) -> int:
+        """Paths that a work item walks, of a launch of so many: a power of two."""
+        if not self.regenerates:
+            return 1
+        most = paths // (WORK_GROUP_SIZE * _GROUPS_OF_UNIT * self.opencl.max_compute_units)
+        return min(1 << max(most.bit_length() - 1, 0), _MOST_TURNS)
+
     def launch(self, kernel: Any, work_items: int, *arguments: Any, global_offset: int = 0, **named: Any) -> None:
-        """Runs a kernel on at least `work_items` work items from `global_offset` on (kernels skip the rest)."""
-        groups = -(-work_items // WORK_GROUP_SIZE)
+        """Runs a kernel on at least `work_items` work items from `global_offset` on (kernels skip the rest).
+
+        Of kernels that take turns (kernels/walk/turns.h) these are the paths, which fewer work items walk.
+        """
+        turns = 1
+        if getattr(kernel, "takes_turns", False):
+            turns = named[TURNS] = self.turns(work_items)
+        groups = -(-work_items // (WORK_GROUP_SIZE * turns))
         with device_errors(f"device {self.name}: launching {kernel.function_name}"), self.lock:
             offset = {"global_offset": (global_offset,)} if global_offset else {}
             kernel(self.queue, (groups * WORK_GROUP_SIZE,), (WORK_GROUP_SIZE,), *arguments, **offset, **named)
