@@ -110,7 +110,8 @@ def main() -> int:
             return 2
     wrong = [row for row in found if row.holds is False]
     seconds = round(time.monotonic() - start, 1)
-    arguments.output.write_text(json.dumps({"seconds": seconds, "rows": [asdict(row) for row in found]}, indent=1) + "\n")
+    stored = {"seconds": seconds, "rows": [asdict(row) for row in found]}
+    arguments.output.write_text(json.dumps(stored, indent=1) + "\n")
     print(f"\n{seconds} s, {len(wrong)} rows that are not as they should be; {arguments.output}", file=sys.stderr)
     return 1 if wrong else 0
 

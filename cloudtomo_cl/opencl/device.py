@@ -184,7 +184,7 @@ def list_devices() -> list[DeviceInfo]:
 def _options(device: Any) -> tuple[str, ...]:
     """Of its compiler: no warnings on the terminal of users; on a GPU divisions and square roots as on CPUs."""
     cl = _import_pyopencl()
-    options = ("-cl-std=CL1.2", "-w")
+    options: tuple[str, ...] = ("-cl-std=CL1.2", "-w")
     exact = bool(device.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT)
     if exact and device.type & cl.device_type.GPU:
         options += ("-cl-fp32-correctly-rounded-divide-sqrt",)

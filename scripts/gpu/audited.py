@@ -6,8 +6,9 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import cloudtomo_cl as ct
 from benchmarks.scenes import generated, scene_c
+
+import cloudtomo_cl as ct
 from gpu.rows import Row, failed
 
 _PART = "audits"

@@ -14,6 +14,7 @@ from unittest import mock
 import numpy as np
 
 import cloudtomo_cl as ct
+from cloudtomo_cl.opencl.layout import BUDGET_COPIES, TERMINATIONS
 from gpu.audited import small_scenes
 from gpu.rows import Row, failed
 
@@ -21,29 +22,24 @@ STORED = Path(__file__).with_name("reference.npz")
 _PART = "bits"
 _SCENES = ("forward peak", "absorbing", "air, ground, periodic", "double Henyey-Greenstein", "phase table")
 _SAMPLES, _PHOTONS, _SEED = 100, 20_000, 7
-# Modules that look through integer sums before they use them.
-_LOOKING = ("radiance", "audit", "flux", "virtual_collisions")
 # Paths of a device with other roundings part where a decision is close: so few that images do not show it.
 _SHARE_OF_PATHS, _SHARE_OF_SUMS = 0.01, 0.01
 
 
 @contextmanager
 def integer_sums() -> Iterator[dict[str, np.ndarray]]:
-    """Gathers the sums in fixed point that the host looks through, by what they are; the last of each kind."""
+    """Gathers the sums in fixed point that the host looks through for overflows, by their shapes; the last of each."""
     found: dict[str, np.ndarray] = {}
 
-    def looking(sums: np.ndarray, what: str, axes: str) -> None:
+    def looking(sums: np.ndarray) -> None:
         # Which copy of the budget's sums is added to depends on the device.
-        found[what] = sums.sum(axis=0) if "budget" in what else sums.copy()
+        if sums.shape == (BUDGET_COPIES, len(TERMINATIONS)):
+            found["budget"] = sums.sum(axis=0)
+        else:
+            found[f"{sums.ndim} axes"] = sums.copy()
 
-    patches = [mock.patch(f"cloudtomo_cl.transport.{module}.require_sums", looking) for module in _LOOKING]
-    for patch in patches:
-        patch.start()
-    try:
+    with mock.patch("cloudtomo_cl.opencl.fixed_point.first_overflow", looking):
         yield found
-    finally:
-        for patch in patches:
-            patch.stop()
 
 
 def computed(name: str) -> dict[str, np.ndarray]:
@@ -57,11 +53,11 @@ def computed(name: str) -> dict[str, np.ndarray]:
         arrays["image"] = rendering.mean
         adjoint = np.linspace(0.5, 1.5, 2 * len(operator.pixels)).reshape(-1, 2)
         arrays["gradient"] = operator.gradient(rendering, adjoint, filling_limit=0.5).get()
-        arrays |= {f"sums of {what}": values for what, values in sums.items()}
+        arrays |= {"sums of the budget": sums["budget"], "sums of the gradient": sums["3 axes"]}
     if scene.boundary.horizontal == "periodic" or scene.surface.albedo == 0:
         with integer_sums() as sums:
             ct.FluxOperator(scene).compute(extinction, _PHOTONS, _SEED)
-            arrays |= {f"sums of photons: {what}": values for what, values in sums.items()}
+            arrays |= {"sums of the photons' budget": sums["budget"], "sums of fluxes": sums["3 axes"]}
     return arrays
 
 

@@ -149,7 +149,8 @@ class Compilers:
     def _source(self, kernel: KernelSource) -> Path:
         macros = "".join(f"#define {feature}\n" for feature in kernel.features)
         path = self.folder / f"{re.sub(r'[^a-z]+', '_', str(kernel))}.cl"
-        path.write_text(f'{self._preamble}\n#ifdef __NVPTX__\n{_ATOMICS}{_OFFSET}#endif\n{macros}#include "{kernel.file}.cl"\n')
+        missing = f"#ifdef __NVPTX__\n{_ATOMICS}{_OFFSET}#endif\n"
+        path.write_text(f'{self._preamble}\n{missing}{macros}#include "{kernel.file}.cl"\n')
         return path
 
     def _options(self, source: Path) -> list[str]:

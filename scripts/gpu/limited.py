@@ -10,9 +10,9 @@ import time
 from collections.abc import Iterator
 
 import numpy as np
+from benchmarks.scenes import generated, scene_c
 
 import cloudtomo_cl as ct
-from benchmarks.scenes import generated, scene_c
 from cloudtomo_cl.opencl.device import Device, choose_device
 from gpu.rows import Row, failed
 

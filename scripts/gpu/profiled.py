@@ -11,9 +11,9 @@ from unittest import mock
 
 import numpy as np
 import pyopencl as cl
+from benchmarks.scenes import Case, generated, scene_c
 
 import cloudtomo_cl as ct
-from benchmarks.scenes import Case, generated, scene_c
 from cloudtomo_cl.opencl.device import Device, choose_device
 from cloudtomo_cl.opencl.parameters import Kernel
 from gpu.rows import Row

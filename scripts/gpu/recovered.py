@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from benchmarks.scenes import generated, scene_c
 
 import cloudtomo_cl as ct
-from benchmarks.scenes import generated, scene_c
 from gpu.profiled import Recorder
 from gpu.rows import Row
 

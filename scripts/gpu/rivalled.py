@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator
 from typing import TypeVar
 
 import numpy as np
-
-import cloudtomo_cl as ct
 from benchmarks import mitsuba_peer
 from benchmarks.scenes import Case, generated, scene_c
 from benchmarks.timing import Disagreement, require_agreement
+
+import cloudtomo_cl as ct
 from cloudtomo_cl.opencl.device import choose_device
 from gpu.rows import Row, failed
 

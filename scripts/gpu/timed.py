@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
+from benchmarks.scenes import Case, generated, scene_c
 
 import cloudtomo_cl as ct
-from benchmarks.scenes import Case, generated, scene_c
 from cloudtomo_cl.transport.jacobian import JacobianSums
 from gpu.rows import Row, failed
 
