@@ -49,7 +49,9 @@ __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
             tally.tangent = 0.0f;
             at = path_start(camera_ray(scene, views + pixel.x, rays, &key));
         }
-        walks = walk_event(&medium, &at, &key, &tally);
+        do
+            walks = walk_event(&medium, &at, &key, &tally);
+        while (walks && !REGENERATES);
         if (!walks) {
             check_replay(tally.radiance, tally.total, astray);
             path_tangent[path] = tally.tangent;

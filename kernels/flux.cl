@@ -83,7 +83,9 @@ __kernel void trace_photons(TRACE_PHOTONS_PARAMETERS)
             tally.columns = columns;
             at = path_start(camera_ray(scene, sun_view, 0, &key));
         }
-        walks = walk_event(&medium, &at, &key, &tally);
+        do
+            walks = walk_event(&medium, &at, &key, &tally);
+        while (walks && !REGENERATES);
     }
     close_group_budget(group_budget, budget);
 }

@@ -73,7 +73,9 @@ __kernel void render_paths(RENDER_PATHS_PARAMETERS)
             tally = empty_tally(group_budget);
             at = path_start(camera_ray(scene, views + pixel.x, rays, &key));
         }
-        walks = walk_event(&medium, &at, &key, &tally);
+        do
+            walks = walk_event(&medium, &at, &key, &tally);
+        while (walks && !REGENERATES);
         if (!walks)
             path_radiance[path] = tally.radiance;
     }

@@ -54,7 +54,9 @@ __kernel void jacobian_paths(JACOBIAN_PATHS_PARAMETERS)
             tally.far = far_sums + (size_t)pixel_block[pixel_in_list] * block_count;
             at = path_start(camera_ray(scene, views + pixel.x, rays, &key));
         }
-        walks = walk_event(&medium, &at, &key, &tally);
+        do
+            walks = walk_event(&medium, &at, &key, &tally);
+        while (walks && !REGENERATES);
         if (!walks)
             check_replay(tally.radiance, tally.total, astray);
     }

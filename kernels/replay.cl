@@ -182,7 +182,9 @@ __kernel void replay_paths(REPLAY_PATHS_PARAMETERS)
             begin_tally(&tally, path, path_radiance[path], &key);
             at = path_start(camera_ray(scene, views + pixel.x, rays, &key));
         }
-        walks = walk_event(&medium, &at, &key, &tally);
+        do
+            walks = walk_event(&medium, &at, &key, &tally);
+        while (walks && !REGENERATES);
         if (!walks)
             end_tally(&tally, astray);
     }

@@ -6,11 +6,13 @@
  *
  *   TURNS(name, end)    declares the turns of a kernel whose paths are the items below `end`; not in a branch
  *   next_turn(&name)    whether there is another path to walk: that of name.item
+ *   REGENERATES         whether it is looked for another path after every event
  */
 #ifndef CLOUDTOMO_TURNS_H
 #define CLOUDTOMO_TURNS_H
 
 #ifdef CLOUDTOMO_REGENERATES
+#define REGENERATES true
 typedef struct {
     volatile __local uint *taken; /* by the group so far */
     size_t first, end;            /* the group's items */
@@ -38,6 +40,7 @@ inline bool next_turn(Turns *group)
     return group->item < group->end;
 }
 #else
+#define REGENERATES false
 typedef struct {
     size_t end, item;
     bool begun;
