@@ -38,7 +38,7 @@ __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
         if (!walks) {
             if (!next_turn(&turn))
                 break;
-            path = path_of_item((uint)turn.item, pixel_count, path_count);
+            path = path_of_item(turn.item, pixel_count, path_count);
             const uint sample = first_sample + path / pixel_count, pixel_in_list = path % pixel_count;
             const uint2 pixel = pixels[pixel_in_list];
             key = sample_key(seed, stream, pixel, sample);

@@ -77,8 +77,8 @@ __kernel void trace_photons(TRACE_PHOTONS_PARAMETERS)
         if (!walks) {
             if (!next_turn(&turn))
                 break;
-            const uint sample = first_sample + (uint)(turn.item / pixel_count);
-            key = sample_key(seed, 0u, (uint2)(SUN_VIEW, (uint)(turn.item % pixel_count)), sample);
+            const uint sample = first_sample + turn.item / pixel_count;
+            key = sample_key(seed, 0u, (uint2)(SUN_VIEW, turn.item % pixel_count), sample);
             tally.budget = empty_budget(group_budget);
             tally.columns = columns;
             at = path_start(camera_ray(scene, sun_view, 0, &key));

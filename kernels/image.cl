@@ -67,7 +67,7 @@ __kernel void render_paths(RENDER_PATHS_PARAMETERS)
         if (!walks) {
             if (!next_turn(&turn))
                 break;
-            path = path_of_item((uint)turn.item, pixel_count, path_count);
+            path = path_of_item(turn.item, pixel_count, path_count);
             const uint2 pixel = pixels[path % pixel_count];
             key = sample_key(seed, stream, pixel, first_sample + path / pixel_count);
             tally = empty_tally(group_budget);

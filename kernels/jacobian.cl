@@ -30,7 +30,7 @@ __kernel void jacobian_paths(JACOBIAN_PATHS_PARAMETERS)
 {
     const uint samples = path_count / pixel_count;
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
-    TURNS(turn, (size_t)row_count * samples);
+    TURNS(turn, row_count * samples);
     SampleKey key;
     Interaction at;
     Tally tally;
@@ -43,7 +43,7 @@ __kernel void jacobian_paths(JACOBIAN_PATHS_PARAMETERS)
             if (!next_turn(&turn))
                 break;
             /* Neighbours in a work group replay paths of the same pixel, which go through the same voxels. */
-            const uint pixel_in_list = first_pixel + (uint)(turn.item / samples), n = (uint)(turn.item % samples);
+            const uint pixel_in_list = first_pixel + turn.item / samples, n = turn.item % samples;
             const uint2 pixel = pixels[pixel_in_list];
             key = sample_key(seed, stream, pixel, first_sample + n);
             tally.radiance = 0.0f;

@@ -44,7 +44,7 @@ inline void deposit_crossing(const Tally *tally, int index, float length, float 
 }
 
 /* The n-th virtual collision replaces the one that is kept with probability 1 / n: each is kept as likely. */
-static void meet_virtual_droplet(const Medium *medium, const Ray *from, const VoxelWalk *walk, float distance,
+LARGE_FUNCTION void meet_virtual_droplet(const Medium *medium, const Ray *from, const VoxelWalk *walk, float distance,
                                  const Payload *payload, Tally *tally)
 {
     const uint n = ++tally->virtual_collisions;
@@ -172,7 +172,7 @@ __kernel void replay_paths(REPLAY_PATHS_PARAMETERS)
         if (!walks) {
             if (!next_turn(&turn))
                 break;
-            const uint path = path_of_item((uint)turn.item, pixel_count, path_count);
+            const uint path = path_of_item(turn.item, pixel_count, path_count);
             const uint sample = first_sample + path / pixel_count, pixel_in_list = path % pixel_count;
             tally.adjoint = adjoint_of(adjoint, pixel_in_list, sample);
             if (tally.adjoint == 0.0f)

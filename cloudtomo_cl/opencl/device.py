@@ -191,6 +191,25 @@ def _options(device: Any) -> tuple[str, ...]:
     return options
 
 
+def dialect(regenerates: bool, calls: bool) -> list[str]:
+    """What kernels are to be compiled like, in OpenCL C; the attributes of `Device`.
+
+    `inline` is an order: compilers for CPUs make functions of what is called in innermost loops. The few large
+    functions that they had better keep are LARGE_FUNCTIONs; all inlined, the kernels run 5 % faster and take twice
+    the time to build. GPUs have them inlined, for a call moves what a work item keeps in registers into memory. That
+    is what NVIDIA's do with a RARE_FUNCTION, to have registers for more work items; AMD's would lose more than that.
+    RARELY_READ keeps compilers from loading ahead of a loop what few of its rounds need.
+    """
+    always = "inline __attribute__((always_inline))"
+    return [
+        *(["#define CLOUDTOMO_REGENERATES"] if regenerates else []),
+        f"#define inline {always}",
+        f"#define LARGE_FUNCTION {'inline' if regenerates else 'static'}",
+        f"#define RARE_FUNCTION {'__attribute__((noinline)) static' if calls else 'inline'}",
+        f"#define RARELY_READ {'volatile' if regenerates else ''}",
+    ]
+
+
 class Device:
     """An OpenCL device with its context, queue and built kernels.
 
@@ -198,6 +217,7 @@ class Device:
     ----------
     lock : of what threads share: a kernel's arguments are its own, from when they are set until it is launched
     regenerates : whether work items walk several paths, for they go in step
+    calls : whether functions that are rarely called are no part of those that call them
     options : of its compiler
     """
 
@@ -210,6 +230,7 @@ class Device:
         self.name = opencl_device.name.strip()
         self.accumulation = _accumulation(opencl_device)
         self.regenerates = bool(opencl_device.type & cl.device_type.GPU)
+        self.calls = self.regenerates and "nvidia" in opencl_device.vendor.lower()
         self.options = _options(opencl_device)
         for part, fault in _FAULTS.items():
             if part in self.name:
@@ -231,12 +252,9 @@ class Device:
         """OpenCL C that comes before every kernel's source: what host and kernels share."""
         from cloudtomo_cl.opencl.layout import declarations
 
-        # Without contraction a path takes the same turns wherever its code is inlined. `inline` is an
-        # order: compilers for CPUs make functions of what is called in innermost loops. (The few large
-        # functions that they had better keep are `static`; all inlined, the kernels run 5 % faster and
-        # take twice the time to build.)
-        inlined = "#define inline inline __attribute__((always_inline))\n"
-        return "#pragma OPENCL FP_CONTRACT OFF\n" + inlined + declarations(self.opencl)
+        # Without contraction a path takes the same turns wherever its code is inlined.
+        lines = ["#pragma OPENCL FP_CONTRACT OFF", *dialect(self.regenerates, self.calls)]
+        return "\n".join([*lines, declarations(self.opencl)])
 
     def build(self, source: str) -> Any:
         """Builds OpenCL C that may include the shipped kernel headers; built once per source.
@@ -258,8 +276,6 @@ class Device:
                     options += ["-I", folder]
                 if self.accumulation == _WIDE_ATOMICS:
                     options += ["-D", "CLOUDTOMO_WIDE_ATOMICS"]
-                if self.regenerates:
-                    options += ["-D", "CLOUDTOMO_REGENERATES"]
                 try:
                     with warnings.catch_warnings():
                         # Remarks of a compiler that succeeded are nothing for users.

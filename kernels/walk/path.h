@@ -60,9 +60,9 @@ inline bool walk_event(const Medium *medium, Interaction *at, const SampleKey *k
 {
     const __constant Scene *scene = medium->scene;
     const float4 u = uniforms(key, at->event * BLOCKS_PER_EVENT + BLOCK_EVENT);
-    const float4 v = uniforms(key, at->event * BLOCKS_PER_EVENT + BLOCK_ROULETTE);
     const Segment segment = {at->ray, -logarithm(u.x), at->throughput, at->event};
     const Flight flight = on_flight(medium, &at->ray, &segment, tally);
+    const float4 v = uniforms(key, at->event * BLOCKS_PER_EVENT + BLOCK_ROULETTE);
     if (flight.collided) {
         at->particle = choose_particle(medium, flight.droplets, flight.air, flight.index, u.y, v.w, &at->albedo);
     } else {

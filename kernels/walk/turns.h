@@ -15,18 +15,18 @@
 #define REGENERATES true
 typedef struct {
     volatile __local uint *taken; /* by the group so far */
-    size_t first, end;            /* the group's items */
-    size_t item;
+    uint first, end;              /* the group's items */
+    uint item;
 } Turns;
 
 #define TURNS(name, end)                                                                                               \
     __local uint name##_taken;                                                                                         \
     Turns name = group_turns(&name##_taken, turns, end)
 
-inline Turns group_turns(volatile __local uint *taken, uint turns, size_t end)
+inline Turns group_turns(volatile __local uint *taken, uint turns, uint end)
 {
-    const size_t count = get_local_size(0) * turns;
-    Turns group = {taken, get_global_offset(0) + get_group_id(0) * count, 0, 0};
+    const uint count = (uint)get_local_size(0) * turns;
+    Turns group = {taken, (uint)(get_global_offset(0) + get_group_id(0) * count), 0u, 0u};
     group.end = min(group.first + count, end);
     if (get_local_id(0) == 0)
         *taken = 0u;
@@ -42,11 +42,11 @@ inline bool next_turn(Turns *group)
 #else
 #define REGENERATES false
 typedef struct {
-    size_t end, item;
+    uint end, item;
     bool begun;
 } Turns;
 
-#define TURNS(name, end) Turns name = {end, get_global_id(0), false}
+#define TURNS(name, end) Turns name = {end, (uint)get_global_id(0), false}
 
 inline bool next_turn(Turns *own)
 {

@@ -12,7 +12,6 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import pyopencl
@@ -42,8 +41,7 @@ _OFFSET = """size_t __attribute__((overloadable)) get_global_offset(uint dimensi
     return offset;
 }
 """
-# As cloudtomo_cl.opencl.device has them for a GPU.
-_MACROS = ("-DCLOUDTOMO_WIDE_ATOMICS", "-DCLOUDTOMO_REGENERATES")
+_MACROS = ("-DCLOUDTOMO_WIDE_ATOMICS",)
 
 
 class CompilerError(Exception):
@@ -142,15 +140,13 @@ class Compilers:
             found[name] = version[1] if version else text.strip().splitlines()[-1]
         return found
 
-    @cached_property
-    def _preamble(self) -> str:
-        return choose_device().preamble
-
-    def _source(self, kernel: KernelSource) -> Path:
+    def _source(self, kernel: KernelSource, calls: bool) -> Path:
+        device = choose_device()
+        device.regenerates, device.calls = True, calls
         macros = "".join(f"#define {feature}\n" for feature in kernel.features)
         path = self.folder / f"{re.sub(r'[^a-z]+', '_', str(kernel))}.cl"
         missing = f"#ifdef __NVPTX__\n{_ATOMICS}{_OFFSET}#endif\n"
-        path.write_text(f'{self._preamble}\n{missing}{macros}#include "{kernel.file}.cl"\n')
+        path.write_text(f'{device.preamble}\n{missing}{macros}#include "{kernel.file}.cl"\n')
         return path
 
     def _options(self, source: Path) -> list[str]:
@@ -163,7 +159,7 @@ class Compilers:
 
     def ptx(self, kernel: KernelSource) -> Path:
         """The kernel for NVIDIA's GPUs, before registers are given out."""
-        source = self._source(kernel)
+        source = self._source(kernel, calls=True)
         ptx = source.with_suffix(".ptx")
         target = [
             "-target", "nvptx64-nvidia-nvcl", "-Xclang", "-mlink-builtin-bitcode",
@@ -178,17 +174,17 @@ class Compilers:
         ptx = self.ptx(kernel)
         for architecture in architectures:
             text = run([self.ptxas, "-v", f"-arch={architecture}", str(ptx), "-o", str(ptx.with_suffix(".cubin"))])
-            part = text[text.index(f"'{kernel.name}'") :]
-            spilled = re.search(r"(\d+) bytes stack frame, (\d+) bytes spill stores, (\d+)", part)
-            used = re.search(r"Used (\d+) registers", part)
-            if spilled is None or used is None:
+            # From the kernel's own line to the next one's: what it is made of, functions that it calls included.
+            part = re.search(rf"entry function '{kernel.name}'.*?Used (\d+) registers", text, flags=re.DOTALL)
+            if part is None:
                 raise CompilerError(f"ptxas says nothing of {kernel.name}:\n{text}")
-            stack, stored, loaded = map(int, spilled.groups())
-            yield architecture, Use(int(used[1]), stored + loaded, stack)
+            frames = re.findall(r"(\d+) bytes stack frame, (\d+) bytes spill stores, (\d+)", part[0])
+            stacks, stored, loaded = zip(*(map(int, frame) for frame in frames))
+            yield architecture, Use(int(part[1]), sum(stored) + sum(loaded), max(stacks))
 
     def for_amd(self, kernel: KernelSource, architectures: tuple[str, ...] = AMD) -> Iterator[tuple[str, Use]]:
         """By the metadata of the assembly; vector registers count, the scalar ones are a wave's."""
-        source = self._source(kernel)
+        source = self._source(kernel, calls=False)
         assembly = source.with_suffix(".s")
         for architecture in architectures:
             target = [
