@@ -30,6 +30,8 @@ _MOST_TURNS, _GROUPS_OF_UNIT = 64, 64
 # Work items of the first launch of its kind, of the largest, and what a launch should take.
 _FIRST_LAUNCH = 1 << 18
 _LARGEST_LAUNCH = 1 << 24
+# A GPU's largest launch: a path for so many bytes of its memory, but no more than these.
+_BYTES_OF_LAUNCH, _LARGEST_ON_GPU = 256, 1 << 27
 _LAUNCH_SECONDS = 0.4
 # Drivers that are known to compute wrongly, by a part of the device's name: what is said when one is opened.
 _FAULTS = {
@@ -353,6 +355,14 @@ class Device:
 
         return pyopencl.array.empty(self.queue, shape, dtype)
 
+    @property
+    def largest_launch(self) -> int:
+        """Work items of the largest launch; on a GPU, whose work items have several paths, of paths. A power of two."""
+        if not self.regenerates:
+            return _LARGEST_LAUNCH
+        paths = int(self.opencl.global_mem_size) // _BYTES_OF_LAUNCH
+        return min(1 << max(paths.bit_length() - 1, 0), _LARGEST_ON_GPU)
+
     def turns(self, paths: int) -> int:
         """Paths that a work item walks, of a launch of so many: a power of two."""
         if not self.regenerates:
@@ -392,7 +402,7 @@ class Pace:
         self.device.launch(kernel, work_items, *arguments, **named)
         self.device.queue.finish()
         wanted = work_items / max(time.perf_counter() - start, 1e-6) * _LAUNCH_SECONDS
-        self.work_items = int(min(max(wanted, self.work_items // 2), 2 * self.work_items, _LARGEST_LAUNCH))
+        self.work_items = int(min(max(wanted, self.work_items // 2), 2 * self.work_items, self.device.largest_launch))
 
 
 def choose_device(name: str | int | None = None) -> Device:

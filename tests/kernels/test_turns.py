@@ -120,3 +120,20 @@ def test_groups_are_left_for_all_compute_units(stepping):
         turns = stepping.turns(paths)
         assert turns & (turns - 1) == 0 and 1 <= turns <= 64
         assert turns == 1 or paths / (64 * turns) >= 3 * units
+
+
+def test_launches_follow_a_gpus_memory(stepping, device):
+    class Memory:
+        def __init__(self, size):
+            self.global_mem_size = size
+
+    real = stepping.opencl
+    try:
+        found = []
+        for gigabytes in (1, 8, 80):
+            stepping.opencl = Memory(gigabytes * 10**9)
+            found.append(stepping.largest_launch)
+    finally:
+        stepping.opencl = real
+    assert found == [1 << 21, 1 << 24, 1 << 27]
+    assert device.regenerates or device.largest_launch == 1 << 24
