@@ -78,7 +78,7 @@ def checked(arguments: argparse.Namespace, variables: dict[str, str]) -> list[Ro
         if index < 0:
             take(Row(name, "left out", "-", note="no CPU beside the device, or it is one"))
             continue
-        for row in rows(name, arguments.quick, {**variables, "CLOUDTOMO_DEVICE": str(index)}):
+        for row in rows(name, PARTS[name], arguments.quick, {**variables, "CLOUDTOMO_DEVICE": str(index)}):
             # One module measures both devices.
             take(Row(**{**asdict(row), "part": name}))
     for row in beside_the_cpu(found):

@@ -1,6 +1,6 @@
 """The parts of scripts/gpu_check.py: each in a process of its own, for a driver that crashes takes its process along.
 
-    python -m gpu.parts NAME [--quick]      # one part, by itself; CLOUDTOMO_DEVICE chooses the device
+    python -m gpu.parts gpu.timed [--quick]      # one part, by itself; CLOUDTOMO_DEVICE chooses the device
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Part:
 
     Attributes
     ----------
-    module : of this package; its function `rows(quick)` yields them
+    module : its function `rows(quick)` yields them
     seconds, quick_seconds : after which it is ended; what it has printed by then counts
     on_cpu : it runs on the machine's CPU, beside the device
     """
@@ -39,25 +39,24 @@ class Part:
 
 
 PARTS = {
-    "device": Part("described", 60, 60),
-    "bits": Part("compared", 60, 120),
-    "audits": Part("audited", 45, 90),
-    "speed": Part("timed", 100, 240),
-    "speed of the CPU": Part("timed", 60, 240, on_cpu=True),
-    "recovery": Part("recovered", 120, 120),
-    "kernels": Part("profiled", 60, 120),
-    "registers": Part("limited", 60, 60),
-    "tests": Part("tested", 125, 240),
-    "mitsuba": Part("rivalled", 60, 120),
+    "device": Part("gpu.described", 60, 60),
+    "bits": Part("gpu.compared", 60, 120),
+    "audits": Part("gpu.audited", 45, 90),
+    "speed": Part("gpu.timed", 100, 240),
+    "speed of the CPU": Part("gpu.timed", 60, 240, on_cpu=True),
+    "recovery": Part("gpu.recovered", 120, 120),
+    "kernels": Part("gpu.profiled", 60, 120),
+    "registers": Part("gpu.limited", 60, 60),
+    "tests": Part("gpu.tested", 125, 240),
+    "mitsuba": Part("gpu.rivalled", 60, 120),
 }
 
 
-def rows(name: str, quick: bool, environment: dict[str, str]) -> Iterator[Row]:
-    """Runs a part; yields its rows as they come, and at last one that says if it failed, and how long it took."""
-    part = PARTS[name]
+def rows(name: str, part: Part, quick: bool, environment: dict[str, str]) -> Iterator[Row]:
+    """Runs a part; yields its rows as they come, one that says so if it failed, and how long it took."""
     budget = part.quick_seconds if quick else part.seconds
     paths = os.pathsep.join(filter(None, [str(SCRIPTS), str(SCRIPTS.parent), os.environ.get("PYTHONPATH", "")]))
-    command = [sys.executable, "-W", "ignore", "-m", "gpu.parts", name, *(["--quick"] if quick else [])]
+    command = [sys.executable, "-W", "ignore", "-m", "gpu.parts", part.module, *(["--quick"] if quick else [])]
     start = time.monotonic()
     process = subprocess.Popen(
         command, env={**os.environ, **environment, "PYTHONPATH": paths}, stdout=subprocess.PIPE,
@@ -93,11 +92,10 @@ def rows(name: str, quick: bool, environment: dict[str, str]) -> Iterator[Row]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=PARTS)
+    parser.add_argument("module")
     parser.add_argument("--quick", action="store_true")
     arguments = parser.parse_args()
-    module = importlib.import_module(f"gpu.{PARTS[arguments.part].module}")
-    for row in module.rows(arguments.quick):
+    for row in importlib.import_module(arguments.module).rows(arguments.quick):
         row.print()
     return 0
 

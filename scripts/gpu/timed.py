@@ -15,19 +15,20 @@ from gpu.rows import Row, failed
 
 _PART = "speed"
 # What one measurement should take, seconds, and how often it is made.
-_SECONDS, _QUICK_SECONDS, _REPEATS = 0.8, 0.4, 3
+_SECONDS, _QUICK_SECONDS, _REPEATS = 0.8, 0.2, 3
 _MOST_STORED = 1 << 27  # paths of a render that is replayed: half a GB
 _GOALS = {("scene C", "render"): 1e8}
 
 
-def cases() -> Iterator[Case]:
-    """Scene C's whole images, where its file is; two generated clouds."""
+def cases(quick: bool) -> Iterator[Case]:
+    """Scene C's whole images, where its file is; two generated clouds, one of them for a quick check."""
     try:
         yield scene_c()
     except FileNotFoundError:
         pass
     yield generated(64)
-    yield generated(128)
+    if not quick:
+        yield generated(128)
 
 
 def speed(work: Callable[[int], float], samples: int, most: int, seconds: float) -> tuple[list[float], int]:
@@ -91,7 +92,7 @@ class Works:
 
 def rows(quick: bool) -> Iterator[Row]:
     seconds = _QUICK_SECONDS if quick else _SECONDS
-    for case in cases():
+    for case in cases(quick):
         works = Works(case)
         pixels = len(works.plain.pixels)
         for name in ("render", "replay", "jacobian", "fluxes"):
