@@ -1,5 +1,6 @@
 /* The gradient of a cost by the radiance table (derivatives.h), and what is needed to make the table. */
 #include "radiance_table.h"
+#include "walk/turns.h"
 
 typedef struct {
     float radiance, own_share; /* of walk/radiance.h */
@@ -24,27 +25,38 @@ inline void tally_derivative(int index, int column, float derivative, bool is_fi
  * adjoint is 0. */
 __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
 {
-    const size_t item = get_global_id(0);
-    if (item >= path_count)
-        return;
-    const uint path = path_of_item((uint)item, pixel_count, path_count);
-    const uint sample = first_sample + (uint)(path / pixel_count);
-    const uint pixel_in_list = path % pixel_count;
-    const float2 halves = adjoint[pixel_in_list];
-    const uint2 pixel = pixels[pixel_in_list];
-    const SampleKey key = {seed, stream, pixel.y, pixel.x, sample};
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
-    Tally tally = {0.0f,
-                   1.0f,
-                   path_radiance[path],
-                   {column, cells, scattered, sunlight, table_sums},
-                   sample & 1u ? halves.y : halves.x,
-                   gradient,
-                   change,
-                   0.0f};
-    walk_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &tally);
-    check_replay(tally.radiance, tally.total, astray);
-    path_tangent[path] = tally.tangent;
+    TURNS(turn, path_count);
+    uint path = 0u;
+    SampleKey key;
+    Interaction at;
+    Tally tally;
+    tally.table = make_table(TABLE_ARGUMENTS);
+    tally.gradient = gradient;
+    tally.change = change;
+    for (bool walks = false;;) {
+        if (!walks) {
+            if (!next_turn(&turn))
+                break;
+            path = path_of_item(turn.item, pixel_count, path_count);
+            const uint sample = first_sample + path / pixel_count, pixel_in_list = path % pixel_count;
+            const uint2 pixel = pixels[pixel_in_list];
+            key = sample_key(seed, stream, pixel, sample);
+            tally.radiance = 0.0f;
+            tally.own_share = 1.0f;
+            tally.total = path_radiance[path];
+            tally.adjoint = adjoint_of(adjoint, pixel_in_list, sample);
+            tally.tangent = 0.0f;
+            at = path_start(camera_ray(scene, views + pixel.x, rays, &key));
+        }
+        do
+            walks = walk_event(&medium, &at, &key, &tally);
+        while (walks && !REGENERATES);
+        if (!walks) {
+            check_replay(tally.radiance, tally.total, astray);
+            path_tangent[path] = tally.tangent;
+        }
+    }
 }
 
 /* Direct sunlight in the table's cells, the mean of 2 x 2 x 2 points of the Gauss-Legendre rule. */

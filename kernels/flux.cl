@@ -2,6 +2,7 @@
 #include "walk/budget.h"
 #include "walk/camera.h"
 #include "walk/event.h"
+#include "walk/turns.h"
 
 typedef struct {
     Budget budget;
@@ -66,12 +67,25 @@ inline void on_termination(Termination termination, float throughput, Tally *tal
  * domain: on its top, or that of the atmosphere. */
 __kernel void trace_photons(TRACE_PHOTONS_PARAMETERS)
 {
-    const size_t photon = get_global_id(0);
-    if (photon >= photon_count)
-        return;
-    const uint sample = first_sample + (uint)(photon / pixel_count);
-    const SampleKey key = {seed, 0u, (uint)(photon % pixel_count), SUN_VIEW, sample};
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
-    Tally tally = {empty_budget(budget), columns};
-    walk_path(&medium, camera_ray(scene, sun_view, 0, &key), &key, &tally);
+    TURNS(turn, photon_count);
+    GROUP_BUDGET(group_budget, budget);
+    SampleKey key;
+    Interaction at;
+    Tally tally;
+    for (bool walks = false;;) {
+        if (!walks) {
+            if (!next_turn(&turn))
+                break;
+            const uint sample = first_sample + turn.item / pixel_count;
+            key = sample_key(seed, 0u, (uint2)(SUN_VIEW, turn.item % pixel_count), sample);
+            tally.budget = empty_budget(group_budget);
+            tally.columns = columns;
+            at = path_start(camera_ray(scene, sun_view, 0, &key));
+        }
+        do
+            walks = walk_event(&medium, &at, &key, &tally);
+        while (walks && !REGENERATES);
+    }
+    close_group_budget(group_budget, budget);
 }

@@ -1,11 +1,18 @@
 /* Radiances: every work item walks one path; then every pixel sums its paths in order. */
 #include "walk/budget.h"
 #include "walk/event.h"
+#include "walk/turns.h"
 
 typedef struct {
     float radiance, own_share; /* of radiance.h */
     Budget budget;
 } Tally;
+
+inline Tally empty_tally(BudgetSums sums)
+{
+    const Tally tally = {0.0f, 1.0f, empty_budget(sums)};
+    return tally;
+}
 
 #include "walk/estimate.h"
 
@@ -49,16 +56,30 @@ inline void on_termination(Termination termination, float throughput, Tally *tal
 /* Path `sample_in_launch * pixel_count + pixel`: its radiance, for a sun of irradiance 1. */
 __kernel void render_paths(RENDER_PATHS_PARAMETERS)
 {
-    const size_t item = get_global_id(0);
-    if (item >= path_count)
-        return;
-    const uint path = path_of_item((uint)item, pixel_count, path_count);
-    const uint2 pixel = pixels[path % pixel_count];
-    const SampleKey key = {seed, stream, pixel.y, pixel.x, first_sample + (uint)(path / pixel_count)};
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
-    Tally tally = {0.0f, 1.0f, empty_budget(budget)};
-    walk_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &tally);
-    path_radiance[path] = tally.radiance;
+    TURNS(turn, path_count);
+    GROUP_BUDGET(group_budget, budget);
+    uint path = 0u;
+    SampleKey key;
+    Interaction at;
+    Tally tally;
+    for (bool walks = false;;) {
+        if (!walks) {
+            if (!next_turn(&turn))
+                break;
+            path = path_of_item(turn.item, pixel_count, path_count);
+            const uint2 pixel = pixels[path % pixel_count];
+            key = sample_key(seed, stream, pixel, first_sample + path / pixel_count);
+            tally = empty_tally(group_budget);
+            at = path_start(camera_ray(scene, views + pixel.x, rays, &key));
+        }
+        do
+            walks = walk_event(&medium, &at, &key, &tally);
+        while (walks && !REGENERATES);
+        if (!walks)
+            path_radiance[path] = tally.radiance;
+    }
+    close_group_budget(group_budget, budget);
 }
 
 /* Adds paths of a launch, samples `begin` to `end` of it, to the pixels' sums, even and odd samples

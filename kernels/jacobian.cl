@@ -2,6 +2,7 @@
  * sight one by one, elsewhere by blocks of pixels and voxels. */
 #include "near_field.h"
 #include "radiance_table.h"
+#include "walk/turns.h"
 
 typedef struct {
     float radiance, own_share; /* of walk/radiance.h */
@@ -27,26 +28,36 @@ inline void tally_derivative(int index, int column, float derivative, bool is_fi
 /* Sums over all paths of a launch of the pixels from first_pixel on. The paths go into the table's sums, too. */
 __kernel void jacobian_paths(JACOBIAN_PATHS_PARAMETERS)
 {
-    const size_t item = get_global_id(0);
     const uint samples = path_count / pixel_count;
-    if (item >= (size_t)row_count * samples)
-        return;
-    /* Neighbours in a work group replay paths of the same pixel, which go through the same voxels. */
-    const uint pixel_in_list = first_pixel + (uint)(item / samples), n = (uint)(item % samples);
-    const uint path = n * pixel_count + pixel_in_list;
-    const uint2 pixel = pixels[pixel_in_list];
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
-    const SampleKey key = {seed, stream, pixel.y, pixel.x, first_sample + n};
-    Tally tally = {0.0f,
-                   1.0f,
-                   path_radiance[path],
-                   {column, cells, scattered, sunlight, table_sums},
-                   scene,
-                   tiles + pixel_in_list,
-                   place,
-                   block,
-                   near_sums + (slot_start[pixel_in_list] - slot_start[first_pixel]),
-                   far_sums + (size_t)pixel_block[pixel_in_list] * block_count};
-    walk_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &tally);
-    check_replay(tally.radiance, tally.total, astray);
+    TURNS(turn, row_count * samples);
+    SampleKey key;
+    Interaction at;
+    Tally tally;
+    tally.table = make_table(TABLE_ARGUMENTS);
+    tally.scene = scene;
+    tally.place = place;
+    tally.block = block;
+    for (bool walks = false;;) {
+        if (!walks) {
+            if (!next_turn(&turn))
+                break;
+            /* Neighbours in a work group replay paths of the same pixel, which go through the same voxels. */
+            const uint pixel_in_list = first_pixel + turn.item / samples, n = turn.item % samples;
+            const uint2 pixel = pixels[pixel_in_list];
+            key = sample_key(seed, stream, pixel, first_sample + n);
+            tally.radiance = 0.0f;
+            tally.own_share = 1.0f;
+            tally.total = path_radiance[n * pixel_count + pixel_in_list];
+            tally.tile = tiles + pixel_in_list;
+            tally.near = near_sums + (slot_start[pixel_in_list] - slot_start[first_pixel]);
+            tally.far = far_sums + (size_t)pixel_block[pixel_in_list] * block_count;
+            at = path_start(camera_ray(scene, views + pixel.x, rays, &key));
+        }
+        do
+            walks = walk_event(&medium, &at, &key, &tally);
+        while (walks && !REGENERATES);
+        if (!walks)
+            check_replay(tally.radiance, tally.total, astray);
+    }
 }

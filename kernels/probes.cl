@@ -46,7 +46,7 @@ __kernel void probe_paths(PROBE_PATHS_PARAMETERS)
     ray.position = convert_float3(ray.voxel) + u.xyz;
     ray.direction = (float3)(across * cospi(azimuth), across * sinpi(azimuth), z);
     ray.inside = true;
-    const RadianceTable table = {column, cells, scattered, sunlight, table_sums};
+    const RadianceTable table = make_table(TABLE_ARGUMENTS);
     const uint cell = cell_at(&table, column[index], ray.position);
     volatile __global Accumulator *sums = table_sums + 2u * (cell * DIRECTION_BINS + direction_bin(ray.direction));
     Tally tally = {0.0f, 1.0f};

@@ -31,6 +31,15 @@ typedef struct {
     volatile __global Accumulator *sums; /* [cell][bin][2]: km, sr^-1 km; what paths bring for the next table */
 } RadianceTable;
 
+#define TABLE_ARGUMENTS column, cells, scattered, sunlight, table_sums
+inline RadianceTable make_table(const __global int *column, const __global uint4 *cells,
+                                const __global float *scattered, const __global float *sunlight,
+                                volatile __global Accumulator *sums)
+{
+    const RadianceTable table = {column, cells, scattered, sunlight, sums};
+    return table;
+}
+
 /* The cell at a position, in voxel units, inside of a column's voxel or a periodic copy of it. */
 inline uint cell_at(const RadianceTable *table, int column, float3 position)
 {

@@ -11,6 +11,7 @@
 #include "walk/accumulate.h"
 #include "walk/estimate.h"
 #include "walk/replayed.h"
+#include "walk/turns.h"
 
 typedef struct {
     float radiance, own_share; /* of radiance.h */
@@ -43,7 +44,7 @@ inline void deposit_crossing(const Tally *tally, int index, float length, float 
 }
 
 /* The n-th virtual collision replaces the one that is kept with probability 1 / n: each is kept as likely. */
-static void meet_virtual_droplet(const Medium *medium, const Ray *from, const VoxelWalk *walk, float distance,
+RARE_FUNCTION void meet_virtual_droplet(const Medium *medium, const Ray *from, const VoxelWalk *walk, float distance,
                                  const Payload *payload, Tally *tally)
 {
     const uint n = ++tally->virtual_collisions;
@@ -133,38 +134,58 @@ inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalE
 #include "walk/unbudgeted.h"
 #include "walk/radiance.h"
 
+/* Before a path, whose radiance is known. */
+inline void begin_tally(Tally *tally, uint path, float total, const SampleKey *key)
+{
+    tally->radiance = 0.0f;
+    tally->own_share = 1.0f;
+    tally->total = total;
+    tally->remaining = 0.0f;
+    tally->key = *key;
+    tally->key.view += VIRTUAL_COLLISIONS_VIEW;
+    tally->virtual_depth = -logarithm(uniforms(&tally->key, 0u).x);
+    tally->virtual_collisions = 0u;
+    tally->place = 0u;
+    tally->path = path;
+}
+
+inline void end_tally(const Tally *tally, volatile __global uint *astray)
+{
+    check_replay(tally->radiance, tally->total, astray);
+    if (tally->virtual_collisions > 0u)
+        tally->list[tally->place].of = tally->virtual_collisions;
+}
+
 /* The launch may be a part of the paths: its global offset is the first. */
 __kernel void replay_paths(REPLAY_PATHS_PARAMETERS)
 {
-    const size_t item = get_global_id(0);
-    if (item >= path_count)
-        return;
-    const uint path = path_of_item((uint)item, pixel_count, path_count);
-    const uint sample = first_sample + (uint)(path / pixel_count);
-    const uint pixel_in_list = path % pixel_count;
-    Tally tally;
-    tally.adjoint = adjoint_of(adjoint, pixel_in_list, sample);
-    if (tally.adjoint == 0.0f)
-        return;
-    const uint2 pixel = pixels[pixel_in_list];
-    const SampleKey key = {seed, stream, pixel.y, pixel.x, sample};
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
-    tally.radiance = 0.0f;
-    tally.own_share = 1.0f;
-    tally.total = path_radiance[path];
-    tally.remaining = 0.0f;
-    tally.key = key;
-    tally.key.view += VIRTUAL_COLLISIONS_VIEW;
-    tally.virtual_depth = -logarithm(uniforms(&tally.key, 0u).x);
-    tally.virtual_collisions = 0u;
-    tally.place = 0u;
-    tally.path = path;
+    TURNS(turn, path_count);
+    SampleKey key;
+    Interaction at;
+    Tally tally;
     tally.virtual_extinction = virtual_extinction;
     tally.list = virtual_collisions;
     tally.listed = virtual_collision_count;
     tally.gradient = gradient;
-    walk_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &tally);
-    check_replay(tally.radiance, tally.total, astray);
-    if (tally.virtual_collisions > 0u)
-        virtual_collisions[tally.place].of = tally.virtual_collisions;
+    for (bool walks = false;;) {
+        if (!walks) {
+            if (!next_turn(&turn))
+                break;
+            const uint path = path_of_item(turn.item, pixel_count, path_count);
+            const uint sample = first_sample + path / pixel_count, pixel_in_list = path % pixel_count;
+            tally.adjoint = adjoint_of(adjoint, pixel_in_list, sample);
+            if (tally.adjoint == 0.0f)
+                continue;
+            const uint2 pixel = pixels[pixel_in_list];
+            key = sample_key(seed, stream, pixel, sample);
+            begin_tally(&tally, path, path_radiance[path], &key);
+            at = path_start(camera_ray(scene, views + pixel.x, rays, &key));
+        }
+        do
+            walks = walk_event(&medium, &at, &key, &tally);
+        while (walks && !REGENERATES);
+        if (!walks)
+            end_tally(&tally, astray);
+    }
 }

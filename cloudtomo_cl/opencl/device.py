@@ -20,13 +20,18 @@ import numpy as np
 from cloudtomo_cl.errors import BuildError, DeviceError
 from cloudtomo_cl.opencl import kernel_cache
 from cloudtomo_cl.opencl.arrays import DeviceArray
-from cloudtomo_cl.opencl.parameters import KERNELS, Kernel
+from cloudtomo_cl.opencl.parameters import KERNELS, TURNS, Kernel
 
 ENVIRONMENT_VARIABLE = "CLOUDTOMO_DEVICE"
 WORK_GROUP_SIZE = 64
+# On a GPU a work item walks several paths, one after the other (kernels/walk/turns.h): at most so many, and so few that
+# so many groups are left for every compute unit, which some of them wait for.
+_MOST_TURNS, _GROUPS_OF_UNIT = 64, 64
 # Work items of the first launch of its kind, of the largest, and what a launch should take.
 _FIRST_LAUNCH = 1 << 18
 _LARGEST_LAUNCH = 1 << 24
+# A GPU's largest launch: a path for so many bytes of its memory, but no more than these.
+_BYTES_OF_LAUNCH, _LARGEST_ON_GPU = 256, 1 << 27
 _LAUNCH_SECONDS = 0.4
 # Drivers that are known to compute wrongly, by a part of the device's name: what is said when one is opened.
 _FAULTS = {
@@ -178,12 +183,44 @@ def list_devices() -> list[DeviceInfo]:
     ]
 
 
+def _options(device: Any) -> tuple[str, ...]:
+    """Of its compiler: no warnings on the terminal of users; on a GPU divisions and square roots as on CPUs."""
+    cl = _import_pyopencl()
+    options: tuple[str, ...] = ("-cl-std=CL1.2", "-w")
+    exact = bool(device.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT)
+    if exact and device.type & cl.device_type.GPU:
+        options += ("-cl-fp32-correctly-rounded-divide-sqrt",)
+    return options
+
+
+def dialect(regenerates: bool, calls: bool) -> list[str]:
+    """What kernels are to be compiled like, in OpenCL C; the attributes of `Device`.
+
+    `inline` is an order: compilers for CPUs make functions of what is called in innermost loops. The few large
+    functions that they had better keep are LARGE_FUNCTIONs; all inlined, the kernels run 5 % faster and take twice
+    the time to build. GPUs have them inlined, for a call moves what a work item keeps in registers into memory. That
+    is what NVIDIA's do with a RARE_FUNCTION, to have registers for more work items; AMD's would lose more than that.
+    RARELY_READ keeps compilers from loading ahead of a loop what few of its rounds need.
+    """
+    always = "inline __attribute__((always_inline))"
+    return [
+        *(["#define CLOUDTOMO_REGENERATES"] if regenerates else []),
+        f"#define inline {always}",
+        f"#define LARGE_FUNCTION {'inline' if regenerates else 'static'}",
+        f"#define RARE_FUNCTION {'__attribute__((noinline)) static' if calls else 'inline'}",
+        f"#define RARELY_READ {'volatile' if regenerates else ''}",
+    ]
+
+
 class Device:
     """An OpenCL device with its context, queue and built kernels.
 
     Attributes
     ----------
     lock : of what threads share: a kernel's arguments are its own, from when they are set until it is launched
+    regenerates : whether work items walk several paths, for they go in step
+    calls : whether functions that are rarely called are no part of those that call them
+    options : of its compiler
     """
 
     @device_errors("opening the device")
@@ -194,6 +231,9 @@ class Device:
         self.queue = cl.CommandQueue(self.context)
         self.name = opencl_device.name.strip()
         self.accumulation = _accumulation(opencl_device)
+        self.regenerates = bool(opencl_device.type & cl.device_type.GPU)
+        self.calls = self.regenerates and "nvidia" in opencl_device.vendor.lower()
+        self.options = _options(opencl_device)
         for part, fault in _FAULTS.items():
             if part in self.name:
                 warnings.warn(f"device {self.name}: {fault} (`cloudtomo devices` lists them)", RuntimeWarning, 2)
@@ -214,12 +254,9 @@ class Device:
         """OpenCL C that comes before every kernel's source: what host and kernels share."""
         from cloudtomo_cl.opencl.layout import declarations
 
-        # Without contraction a path takes the same turns wherever its code is inlined. `inline` is an
-        # order: compilers for CPUs make functions of what is called in innermost loops. (The few large
-        # functions that they had better keep are `static`; all inlined, the kernels run 5 % faster and
-        # take twice the time to build.)
-        inlined = "#define inline inline __attribute__((always_inline))\n"
-        return "#pragma OPENCL FP_CONTRACT OFF\n" + inlined + declarations(self.opencl)
+        # Without contraction a path takes the same turns wherever its code is inlined.
+        lines = ["#pragma OPENCL FP_CONTRACT OFF", *dialect(self.regenerates, self.calls)]
+        return "\n".join([*lines, declarations(self.opencl)])
 
     def build(self, source: str) -> Any:
         """Builds OpenCL C that may include the shipped kernel headers; built once per source.
@@ -236,7 +273,7 @@ class Device:
             cl = _import_pyopencl()
             kernel_cache.check()
             with _include_folders() as folders:
-                options = ["-cl-std=CL1.2", "-w"]  # no warnings on the terminal of users
+                options = list(self.options)
                 for folder in folders:
                     options += ["-I", folder]
                 if self.accumulation == _WIDE_ATOMICS:
@@ -318,9 +355,30 @@ class Device:
 
         return pyopencl.array.empty(self.queue, shape, dtype)
 
+    @property
+    def largest_launch(self) -> int:
+        """Work items of the largest launch; on a GPU, whose work items have several paths, of paths. A power of two."""
+        if not self.regenerates:
+            return _LARGEST_LAUNCH
+        paths = int(self.opencl.global_mem_size) // _BYTES_OF_LAUNCH
+        return min(1 << max(paths.bit_length() - 1, 0), _LARGEST_ON_GPU)
+
+    def turns(self, paths: int) -> int:
+        """Paths that a work item walks, of a launch of so many: a power of two."""
+        if not self.regenerates:
+            return 1
+        most = paths // (WORK_GROUP_SIZE * _GROUPS_OF_UNIT * self.opencl.max_compute_units)
+        return min(1 << max(most.bit_length() - 1, 0), _MOST_TURNS)
+
     def launch(self, kernel: Any, work_items: int, *arguments: Any, global_offset: int = 0, **named: Any) -> None:
-        """Runs a kernel on at least `work_items` work items from `global_offset` on (kernels skip the rest)."""
-        groups = -(-work_items // WORK_GROUP_SIZE)
+        """Runs a kernel on at least `work_items` work items from `global_offset` on (kernels skip the rest).
+
+        Of kernels that take turns (kernels/walk/turns.h) these are the paths, which fewer work items walk.
+        """
+        turns = 1
+        if getattr(kernel, "takes_turns", False):
+            turns = named[TURNS] = self.turns(work_items)
+        groups = -(-work_items // (WORK_GROUP_SIZE * turns))
         with device_errors(f"device {self.name}: launching {kernel.function_name}"), self.lock:
             offset = {"global_offset": (global_offset,)} if global_offset else {}
             kernel(self.queue, (groups * WORK_GROUP_SIZE,), (WORK_GROUP_SIZE,), *arguments, **offset, **named)
@@ -344,7 +402,7 @@ class Pace:
         self.device.launch(kernel, work_items, *arguments, **named)
         self.device.queue.finish()
         wanted = work_items / max(time.perf_counter() - start, 1e-6) * _LAUNCH_SECONDS
-        self.work_items = int(min(max(wanted, self.work_items // 2), 2 * self.work_items, _LARGEST_LAUNCH))
+        self.work_items = int(min(max(wanted, self.work_items // 2), 2 * self.work_items, self.device.largest_launch))
 
 
 def choose_device(name: str | int | None = None) -> Device:

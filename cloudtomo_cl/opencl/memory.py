@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from cloudtomo_cl.errors import DeviceError
 from cloudtomo_cl.memory import require, size_text
 from cloudtomo_cl.opencl.device import Device
+
+# Of a device's memory, what stored paths may take: others lie on the machine.
+_STORED_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -18,14 +21,17 @@ class Footprint:
     device : on the device
     largest : the largest buffer there
     host : on the machine
+    stored : of paths that are stored, on the device as far as it has room for them, else on the machine
     """
 
     device: float = 0.0
     largest: float = 0.0
     host: float = 0.0
+    stored: float = 0.0
 
     def __add__(self, other: Footprint) -> Footprint:
-        return Footprint(self.device + other.device, max(self.largest, other.largest), self.host + other.host)
+        largest = max(self.largest, other.largest)
+        return Footprint(self.device + other.device, largest, self.host + other.host, self.stored + other.stored)
 
     def require(self, device: Device, what: str, advice: str) -> None:
         """Checks that it fits.
@@ -40,6 +46,10 @@ class Footprint:
         DataError : the machine has less
         DeviceError : the device has less
         """
+        if self.stored:
+            there = stored_on_device(device, self.stored)
+            held = replace(self, device=self.device + there, host=self.host + self.stored - there, stored=0.0)
+            return held.require(device, what, advice)
         for needed, there, words in (
             (self.device, device.opencl.global_mem_size, "has"),
             (self.largest, device.opencl.max_mem_alloc_size, "gives at most"),
@@ -52,3 +62,8 @@ class Footprint:
                 )
         # A CPU's memory is the machine's own.
         require(self.host + (self.device if device.shares_memory else 0), what, advice)
+
+
+def stored_on_device(device: Device, size: float) -> float:
+    """How much of so many bytes of stored paths lies on the device."""
+    return size if device.shares_memory else min(size, _STORED_SHARE * device.opencl.global_mem_size)

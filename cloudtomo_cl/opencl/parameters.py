@@ -34,6 +34,9 @@ PATHS = (
     "const uint seed",
     "const uint stream",
 )
+# Of kernels whose work items walk several paths on a GPU: kernels/walk/turns.h. `Device.launch` gives it.
+TURNS = "turns"
+_TURNS = (f"const uint {TURNS}",)  # as many times as many paths as work items
 _REPLAY = (
     *PATHS,
     "const __global float *path_radiance",  # from render_paths, sr^-1
@@ -81,6 +84,7 @@ KERNELS: dict[str, tuple[str, ...]] = {
         *PATHS,
         "__global float *path_radiance",  # sr^-1
         "volatile __global Accumulator *budget",  # [copy][Termination]
+        *_TURNS,
     ),
     "sum_paths": (
         "const __global float *path_radiance",
@@ -95,6 +99,7 @@ KERNELS: dict[str, tuple[str, ...]] = {
         *_GRADIENT,
         "__global VirtualCollision *virtual_collisions",
         "volatile __global uint *virtual_collision_count",
+        *_TURNS,
     ),
     "virtual_paths": (
         *PATHS,
@@ -114,6 +119,7 @@ KERNELS: dict[str, tuple[str, ...]] = {
         "const __global float *change",  # of extinction, km^-1, [x][y][z]
         "volatile __global Accumulator *gradient",
         "__global float *path_tangent",  # each path's derivative along the change, sr^-1
+        *_TURNS,
     ),
     "jacobian_paths": (
         *_REPLAY,
@@ -125,6 +131,7 @@ KERNELS: dict[str, tuple[str, ...]] = {
         "const uint block_count",
         "volatile __global Accumulator *near_sums",  # [slot] of the rows' pixels
         "volatile __global Accumulator *far_sums",  # [pixel block][block]
+        *_TURNS,
     ),
     "near_count": (*_TILES, "const uint pixel_count", "__global uint *counts"),
     "near_fill": (*_TILES, "const uint pixel_count", "const __global uint *row_start", "__global int *columns"),
@@ -221,6 +228,7 @@ KERNELS: dict[str, tuple[str, ...]] = {
         "const uint seed",
         "volatile __global Accumulator *columns",  # weights, [Flux][x][y]
         "volatile __global Accumulator *budget",  # [copy][Termination]
+        *_TURNS,
     ),
     "laplacian": ("const __global float *extinction", "const int3 shape", "__global float *result"),
     "monotonicity_terms": (
@@ -355,6 +363,7 @@ class Kernel:
         self._parameters = tuple(map(Parameter, declarations))
         self._places = {parameter.name: place for place, parameter in enumerate(self._parameters)}
         self.function_name = name
+        self.takes_turns = TURNS in self._places
 
     def __call__(
         self,

@@ -24,6 +24,7 @@ from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.seeds import checked_seed
 from cloudtomo_cl.scene.sensors import View
 from cloudtomo_cl.transport.audit import Audit, Budget, check_replays
+from cloudtomo_cl.transport.in_parts import BYTES_OF_LIST, kept, on_device, pixels_at_once, render_in_parts
 from cloudtomo_cl.transport.medium import FilledMedium, Medium
 from cloudtomo_cl.transport.virtual_collisions import VirtualCollisions
 
@@ -41,6 +42,8 @@ _LARGEST_ADJOINT = 1e28
 _LONGEST_SUM = 1 << 15
 # On the device: extinction and what skips empty blocks; sums; stored paths. On the host: what sums become.
 _BYTES_PER_VOXEL, _BYTES_PER_PIXEL, _BYTES_PER_PATH, _HOST_BYTES_PER_PIXEL = 8, 48, 4, 160
+# Pixels that are rendered together at least: with less room a problem is refused.
+_FEWEST_AT_ONCE = 4096
 
 
 @renamed_attributes(iteration="stream")
@@ -223,6 +226,10 @@ class RadianceOperator:
         TransportError : a radiance is not finite
         AuditError : energy was lost or gained (see `Audit.check`)
         """
+        at_once = pixels_at_once(self.device, voxels_of(self.scene.grid.shape), len(self.pixels))
+        if at_once < len(self.pixels) and not store_paths:
+            options = {"seed": seed, "stream": stream, "first_sample": first_sample}
+            return render_in_parts(self, at_once, extinction, samples, progress, **options)
         seed, stream = checked_seed(seed), checked_seed(stream, "stream")
         if samples < 2 or samples % 2:
             raise DataError(f"samples is {samples}: it must be even and at least 2 (halves are compared)")
@@ -251,7 +258,7 @@ class RadianceOperator:
             for part in parts(number, _LONGEST_SUM):
                 self.device.launch(self._sum_paths, count, paths, count, first, *part, sums)
             if store_paths:
-                launches.append((first, paths))
+                launches.append((first, kept(self.device, paths, launches)))
             done += number
             if progress:
                 progress(done)
@@ -374,7 +381,8 @@ class RadianceOperator:
         if not rendering._launches:
             raise DataError("this rendering kept no paths: render with store_paths=True")
         astray = self.device.zeros(1, np.uint32)
-        for first, paths in rendering._launches:
+        for first, stored_paths in rendering._launches:
+            paths = on_device(self.device, stored_paths)
             walk = rendering._operator._arguments(
                 rendering._medium, first, paths.size, rendering.seed, rendering.stream
             )
@@ -406,16 +414,20 @@ def largest_adjoint(adjoint: np.ndarray) -> float:
 
 def footprint(voxels: int, pixels: int, stored_paths: int = 0) -> Footprint:
     """What a `RadianceOperator` takes to render a grid: counted over arrays that live at the same time, rounded up."""
-    device = _BYTES_PER_VOXEL * voxels + _BYTES_PER_PIXEL * pixels + _BYTES_PER_PATH * stored_paths
+    device = _BYTES_PER_VOXEL * voxels + _BYTES_PER_PIXEL * pixels
     largest = max(_BYTES_PER_VOXEL // 2 * voxels, _BYTES_PER_PIXEL // 2 * pixels)
-    return Footprint(device, largest, _HOST_BYTES_PER_PIXEL * pixels)
+    return Footprint(device, largest, _HOST_BYTES_PER_PIXEL * pixels, _BYTES_PER_PATH * stored_paths)
 
 
 def _require_memory(device: Device, shape: tuple[int, ...], pixels: int) -> None:
     """DataError or DeviceError if there is not memory enough, or there is more than kernels count."""
     what = f"rendering {pixels} pixels of {shape_text(shape)} voxels"
     require_countable(voxels_of(shape), pixels, what)
-    footprint(voxels_of(shape), pixels).require(device, what, "choose fewer pixels or voxels")
+    voxels = voxels_of(shape)
+    at_once = max(pixels_at_once(device, voxels, pixels), min(pixels, _FEWEST_AT_ONCE))
+    later = pixels - at_once
+    needed = footprint(voxels, at_once) + Footprint(BYTES_OF_LIST * later, 0.0, _HOST_BYTES_PER_PIXEL * later)
+    needed.require(device, what, "choose fewer pixels or voxels")
 
 
 def pooled(first: Rendering, second: Rendering) -> Rendering:

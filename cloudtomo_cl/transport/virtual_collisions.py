@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 _COLLISIONS_PER_PATH = 0.1
 # Paths by whose lengths that is set, and the sums' unit: a share of a voxel's shortest edge.
 _PATHS, _UNIT = 1 << 11, 2.0**-20
-# Paths that are replayed together: each may leave a virtual collision behind.
-_PART = 1 << 20
+# Paths that are replayed together, of so large a launch at most: each may leave a virtual collision behind. Where
+# launches are larger, as many times as many.
+_PART, _LAUNCH = 1 << 20, 1 << 24
 
 
 class VirtualCollisions:
@@ -42,12 +43,13 @@ class VirtualCollisions:
 
         arguments : adjoint, virtual_extinction, gradient; of both kernels
         """
-        size = min(_PART, launch.paths) * STRUCTS["VirtualCollision"].itemsize
+        part = _PART * max(self._device.largest_launch // _LAUNCH, 1)
+        size = min(part, launch.paths) * STRUCTS["VirtualCollision"].itemsize
         collisions = self._device.buffer(size)
-        for begin in range(0, launch.paths, _PART):
+        for begin in range(0, launch.paths, part):
             count = self._device.zeros(1, np.uint32)
             launch.run_part(
-                self._replay_paths, begin, min(begin + _PART, launch.paths), **arguments,
+                self._replay_paths, begin, min(begin + part, launch.paths), **arguments,
                 virtual_collisions=collisions, virtual_collision_count=count,
             )  # fmt: skip
             found = int(count.get()[0])

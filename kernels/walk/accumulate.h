@@ -19,44 +19,28 @@ typedef long Accumulator;
 
 #define LARGEST_ADDEND (0.5f * (float)LARGEST_SUM)
 
-#ifdef CLOUDTOMO_WIDE_ATOMICS
-#pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable
 #define OVERFLOWN LONG_MIN
-inline void accumulate(volatile __global Accumulator *sum, float value)
-{
-    if (magnitude(value) < LARGEST_ADDEND) {
-        const ulong addend = as_ulong(convert_long_rte(value));
-        const ulong after = as_ulong(atom_add(sum, as_long(addend))) + addend;
-        if (after + LARGEST_SUM < 2ul * LARGEST_SUM)
-            return;
-    }
-    atom_xchg(sum, OVERFLOWN);
-}
-#else
+#define OVERFLOWN_WORD 0x80000000u /* the high one */
 #ifdef __ENDIAN_LITTLE__
 #define LOW_WORD 0
 #else
 #define LOW_WORD 1
 #endif
-#define OVERFLOWN 0x80000000u /* the high word */
-/* Every wrap of the low word is seen by exactly one work item, which carries it. */
-inline void accumulate(volatile __global Accumulator *sum, float value)
+
+#define ADD_UNITS add_units
+#define SUM_SPACE __global
+#include "walk/add_fixed_point.h"
+
+/* Whether a number of units may be added at a time. */
+inline bool is_addend(Accumulator units) { return (ulong)units + LARGEST_SUM / 2 <= LARGEST_SUM; }
+
+/* The units that stand for a value; OVERFLOWN for one that is too large, or no number. */
+inline Accumulator units_of(float value)
 {
-    volatile __global uint *words = (volatile __global uint *)sum;
-    if (magnitude(value) < LARGEST_ADDEND) {
-        const ulong bits = as_ulong(convert_long_rte(value));
-        const uint low = (uint)bits;
-        const uint before = atomic_add(words + LOW_WORD, low);
-        const uint high = (uint)(bits >> 32) + (before + low < low);
-        if (high == 0u)
-            return;
-        const uint limit = (uint)(LARGEST_SUM >> 32);
-        if (atomic_add(words + 1 - LOW_WORD, high) + high + limit < 2u * limit)
-            return;
-    }
-    atomic_xchg(words + 1 - LOW_WORD, OVERFLOWN);
+    return magnitude(value) < LARGEST_ADDEND ? convert_long_rte(value) : OVERFLOWN;
 }
-#endif
+
+inline void accumulate(volatile __global Accumulator *sum, float value) { add_units(sum, units_of(value)); }
 
 /* Whether a sum has left its range. */
 inline bool has_overflowed(Accumulator sum) { return (ulong)sum + LARGEST_SUM >= 2ul * LARGEST_SUM; }

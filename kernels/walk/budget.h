@@ -8,7 +8,44 @@
 #include "walk/accumulate.h"
 
 /* WEIGHT_UNIT: fixed-point units of a weight of 1. Work groups add into one of BUDGET_COPIES copies of
- * the sums, lest all wait for one address. Both from cloudtomo_cl/layout.py. */
+ * the sums, lest all wait for one address. Both from cloudtomo_cl/opencl/layout.py. On GPUs, where an atomic sum of
+ * every path would bound them, a group adds up its own first.
+ *
+ *   GROUP_BUDGET(name, sums)            declares what paths of a group add to, in a kernel; not in a branch
+ *   close_group_budget(name, sums)      when all its paths have ended */
+#ifdef CLOUDTOMO_REGENERATES
+#define SUM_SPACE __local
+#define ADD_UNITS add_units_in_group
+#include "walk/add_fixed_point.h"
+typedef volatile __local Accumulator *BudgetSums; /* [Termination] */
+#define add_to_budget add_units_in_group
+#define GROUP_BUDGET(name, sums)                                                                                       \
+    __local Accumulator name[TERMINATIONS];                                                                            \
+    clear_group_budget(name)
+
+inline void clear_group_budget(volatile __local Accumulator *group)
+{
+    for (uint n = get_local_id(0); n < TERMINATIONS; n += get_local_size(0))
+        group[n] = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+}
+
+inline void close_group_budget(volatile __local Accumulator *group, volatile __global Accumulator *sums)
+{
+    volatile __global Accumulator *copy = sums + (get_group_id(0) % BUDGET_COPIES) * TERMINATIONS;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint n = get_local_id(0); n < TERMINATIONS; n += get_local_size(0)) {
+        const Accumulator sum = group[n];
+        add_units(copy + n, is_addend(sum) ? sum : OVERFLOWN);
+    }
+}
+#else
+typedef volatile __global Accumulator *BudgetSums; /* [Termination] */
+#define add_to_budget add_units
+#define GROUP_BUDGET(name, sums) BudgetSums name = sums + (get_group_id(0) % BUDGET_COPIES) * TERMINATIONS
+inline void close_group_budget(BudgetSums group, volatile __global Accumulator *sums) {}
+#endif
+
 typedef struct {
     /* Volatile, so that they stay in memory: an event adds to one or two, and GPUs lack registers. */
     volatile float absorbed; /* weight, by droplets and molecules */
@@ -16,10 +53,10 @@ typedef struct {
     volatile float killed;   /* less the weight that survived roulettes have given */
     volatile float killed_variance;
     volatile float truncated;            /* radiance, sr^-1 */
-    volatile __global Accumulator *sums; /* [copy][Termination] */
+    BudgetSums sums;
 } Budget;
 
-inline Budget empty_budget(volatile __global Accumulator *sums)
+inline Budget empty_budget(BudgetSums sums)
 {
     const Budget budget = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, sums};
     return budget;
@@ -44,19 +81,19 @@ inline void budget_roulette(Budget *budget, float throughput, float raised, bool
 /* Closes the budget of a path that ended with a throughput. */
 inline void budget_termination(const Budget *budget, Termination termination, float throughput)
 {
-    volatile __global Accumulator *sums = budget->sums + (get_group_id(0) % BUDGET_COPIES) * TERMINATIONS;
-    accumulate(sums + TERMINATION_LAUNCHED, WEIGHT_UNIT);
-    accumulate(sums + termination, throughput * WEIGHT_UNIT);
+    const BudgetSums sums = budget->sums;
+    add_to_budget(sums + TERMINATION_LAUNCHED, units_of(WEIGHT_UNIT));
+    add_to_budget(sums + termination, units_of(throughput * WEIGHT_UNIT));
     if (budget->absorbed != 0.0f)
-        accumulate(sums + TERMINATION_ABSORBED, budget->absorbed * WEIGHT_UNIT);
+        add_to_budget(sums + TERMINATION_ABSORBED, units_of(budget->absorbed * WEIGHT_UNIT));
     if (budget->surface != 0.0f)
-        accumulate(sums + TERMINATION_SURFACE, budget->surface * WEIGHT_UNIT);
+        add_to_budget(sums + TERMINATION_SURFACE, units_of(budget->surface * WEIGHT_UNIT));
     if (budget->killed_variance != 0.0f) {
-        accumulate(sums + TERMINATION_KILLED, budget->killed * WEIGHT_UNIT);
-        accumulate(sums + TERMINATION_KILLED_VARIANCE, budget->killed_variance * WEIGHT_UNIT);
+        add_to_budget(sums + TERMINATION_KILLED, units_of(budget->killed * WEIGHT_UNIT));
+        add_to_budget(sums + TERMINATION_KILLED_VARIANCE, units_of(budget->killed_variance * WEIGHT_UNIT));
     }
     if (budget->truncated != 0.0f)
-        accumulate(sums + TERMINATION_TRUNCATED, budget->truncated * WEIGHT_UNIT);
+        add_to_budget(sums + TERMINATION_TRUNCATED, units_of(budget->truncated * WEIGHT_UNIT));
 }
 
 #endif

@@ -21,7 +21,7 @@ inline Ray shadow_ray(const Medium *medium, const Ray *from)
 /* Radiance of the sunlight that reaches the ray's position: weight (sr^-1) times the
  * transmittance to the sun. A threshold above 0 (sr^-1) plays a roulette that ends shadow rays
  * which would contribute less; the mean is kept. Beyond the scene's truncation it is cut. */
-static LocalEstimate local_estimate(const Medium *medium, const Ray *at, float weight, float threshold, float u)
+LARGE_FUNCTION LocalEstimate local_estimate(const Medium *medium, const Ray *at, float weight, float threshold, float u)
 {
     LocalEstimate estimate = {0.0f, 0.0f, 0.0f};
     const float least = u * threshold;

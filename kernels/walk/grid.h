@@ -27,7 +27,7 @@ typedef struct {
     int index;                                   /* of the current voxel, in an array [x][y][z] */
 } VoxelWalk;
 
-inline float3 grid_spacing(const __constant Scene *scene) /* km */
+inline float3 grid_spacing(const RARELY_READ __constant Scene *scene) /* km */
 {
     return (float3)(scene->spacing[0], scene->spacing[1], scene->spacing[2]);
 }
@@ -130,12 +130,12 @@ inline VoxelWalk walk_begin(const __constant Scene *scene, const Ray *ray)
 inline int voxel_of(int ahead, int stride, int count) { return stride > 0 ? count - 1 - ahead : ahead; }
 
 /* The voxel's number along z. */
-inline int walk_layer(const __constant Scene *scene, const VoxelWalk *walk)
+inline int walk_layer(const RARELY_READ __constant Scene *scene, const VoxelWalk *walk)
 {
     return voxel_of(walk->ahead_z, walk->stride_z, scene->shape[2]);
 }
 
-inline int3 walk_voxel(const __constant Scene *scene, const VoxelWalk *walk)
+inline int3 walk_voxel(const RARELY_READ __constant Scene *scene, const VoxelWalk *walk)
 {
     return (int3)(voxel_of(walk->ahead_x, walk->stride_x, scene->shape[0]),
                   voxel_of(walk->ahead_y, walk->stride_y, scene->shape[1]), walk_layer(scene, walk));
@@ -145,7 +145,7 @@ inline int3 walk_voxel(const __constant Scene *scene, const VoxelWalk *walk)
 inline float walk_exit(const VoxelWalk *walk) { return lesser(walk->next_z, lesser(walk->next_x, walk->next_y)); }
 
 /* In a periodic domain: comes back in on the other side. */
-inline void walk_wrap(const __constant Scene *scene, VoxelWalk *walk)
+inline void walk_wrap(const RARELY_READ __constant Scene *scene, VoxelWalk *walk)
 {
     if (walk->ahead_x < 0) {
         walk->ahead_x += scene->shape[0];
@@ -158,7 +158,7 @@ inline void walk_wrap(const __constant Scene *scene, VoxelWalk *walk)
 }
 
 /* To the next voxel; false if that leaves the domain. */
-inline bool walk_advance(const __constant Scene *scene, VoxelWalk *walk, float exit)
+inline bool walk_advance(const RARELY_READ __constant Scene *scene, VoxelWalk *walk, float exit)
 {
     const bool z = walk->next_z == exit;
     const bool x = !z && walk->next_x == exit;
@@ -192,7 +192,7 @@ inline void skip_axis(float exit, float per_voxel, int stride, int most, float *
 }
 
 /* Which block of 2^empty_shift voxels along each axis the walk is in, as an index. */
-inline int empty_block(const __constant Scene *scene, const VoxelWalk *walk)
+inline int empty_block(const RARELY_READ __constant Scene *scene, const VoxelWalk *walk)
 {
     const int shift = scene->empty_shift;
     if (shift == 0)
@@ -204,7 +204,7 @@ inline int empty_block(const __constant Scene *scene, const VoxelWalk *walk)
 }
 
 /* Voxels along an axis from the walk's to the last of so many blocks, its own the first of them. */
-inline int empty_side(const __constant Scene *scene, int ahead, int stride, int count, int blocks)
+inline int empty_side(const RARELY_READ __constant Scene *scene, int ahead, int stride, int count, int blocks)
 {
     const int last = (1 << scene->empty_shift) - 1;
     return ((blocks - 1) << scene->empty_shift) + ((voxel_of(ahead, stride, count) & last) ^ (stride > 0 ? last : 0));
@@ -212,7 +212,7 @@ inline int empty_side(const __constant Scene *scene, int ahead, int stride, int 
 
 /* From a block with nothing within `empty` blocks of it (itself included, along every axis) to where
  * the ray leaves that cube, or the domain: false then. */
-inline bool walk_skip(const __constant Scene *scene, VoxelWalk *walk, int empty)
+inline bool walk_skip(const RARELY_READ __constant Scene *scene, VoxelWalk *walk, int empty)
 {
     const bool periodic = scene->periodic;
     const int side_x = empty_side(scene, walk->ahead_x, walk->stride_x, scene->shape[0], empty);
@@ -247,7 +247,7 @@ inline bool walk_skip(const __constant Scene *scene, VoxelWalk *walk, int empty)
 }
 
 /* Moves the ray to `distance` km along itself, a point of the walk's current voxel. */
-inline void move_to_walk(const __constant Scene *scene, Ray *ray, const VoxelWalk *walk, float distance)
+inline void move_to_walk(const RARELY_READ __constant Scene *scene, Ray *ray, const VoxelWalk *walk, float distance)
 {
     float3 position = ray->position + distance * ray->direction / grid_spacing(scene);
     const int3 voxel = walk_voxel(scene, walk);

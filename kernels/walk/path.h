@@ -54,58 +54,71 @@ inline Termination termination_of(const __constant Scene *scene, const Ray *ray,
     return ray->direction.z > 0.0f ? TERMINATION_TOP : TERMINATION_BOTTOM;
 }
 
-/* Walks a path on to its end. Of `at`, the last interaction, count the ray along which the path is to go on, the
- * throughput, and the number of the segment that begins there. */
-inline void walk_on(const Medium *medium, Interaction at, const SampleKey *key, Tally *tally)
+/* Walks a path on from `at`, its last interaction, to the next; false if it has come to its end. Of `at` count the ray
+ * along which the path is to go on, the throughput, and the number of the segment that begins there. */
+inline bool walk_event(const Medium *medium, Interaction *at, const SampleKey *key, Tally *tally)
 {
     const __constant Scene *scene = medium->scene;
-    for (;; ++at.event) {
-        const float4 u = uniforms(key, at.event * BLOCKS_PER_EVENT + BLOCK_EVENT);
-        const float4 v = uniforms(key, at.event * BLOCKS_PER_EVENT + BLOCK_ROULETTE);
-        const Segment segment = {at.ray, -logarithm(u.x), at.throughput, at.event};
-        const Flight flight = on_flight(medium, &at.ray, &segment, tally);
-        if (flight.collided) {
-            at.particle = choose_particle(medium, flight.droplets, flight.air, flight.index, u.y, v.w, &at.albedo);
-        } else {
-            const Termination termination = termination_of(scene, &at.ray, &flight);
-            const bool ends = termination == TERMINATION_LOST || !meets_surface(scene, &at.ray);
-            on_leaving(medium, &segment, &flight, &at.ray, termination, ends, tally);
-            if (ends) {
-                on_termination(termination, at.throughput, tally);
-                return;
-            }
-            move_to_surface(scene, &at.ray);
-            at.particle = PARTICLE_SURFACE;
-            at.albedo = scene->surface_albedo;
+    const float4 u = uniforms(key, at->event * BLOCKS_PER_EVENT + BLOCK_EVENT);
+    const Segment segment = {at->ray, -logarithm(u.x), at->throughput, at->event};
+    const Flight flight = on_flight(medium, &at->ray, &segment, tally);
+    const float4 v = uniforms(key, at->event * BLOCKS_PER_EVENT + BLOCK_ROULETTE);
+    if (flight.collided) {
+        at->particle = choose_particle(medium, flight.droplets, flight.air, flight.index, u.y, v.w, &at->albedo);
+    } else {
+        const Termination termination = termination_of(scene, &at->ray, &flight);
+        const bool ends = termination == TERMINATION_LOST || !meets_surface(scene, &at->ray);
+        on_leaving(medium, &segment, &flight, &at->ray, termination, ends, tally);
+        if (ends) {
+            on_termination(termination, at->throughput, tally);
+            return false;
         }
-        at.u_estimate = v.x;
-        at.u_side_flights = v.z;
-        on_absorption(medium, &at, at.throughput * (1.0f - at.albedo), tally);
-        at.throughput *= at.albedo;
-        on_interaction(medium, &segment, &flight, &at, tally);
-        if (at.throughput < PATH_ROULETTE_THROUGHPUT) {
-            const bool survives = v.y * PATH_ROULETTE_THROUGHPUT < at.throughput;
-            on_roulette(at.throughput, PATH_ROULETTE_THROUGHPUT, survives, tally);
-            if (!survives) {
-                on_termination(TERMINATION_KILLED, at.throughput, tally);
-                return;
-            }
-            at.throughput = PATH_ROULETTE_THROUGHPUT;
+        move_to_surface(scene, &at->ray);
+        at->particle = PARTICLE_SURFACE;
+        at->albedo = scene->surface_albedo;
+    }
+    at->u_estimate = v.x;
+    at->u_side_flights = v.z;
+    on_absorption(medium, at, at->throughput * (1.0f - at->albedo), tally);
+    at->throughput *= at->albedo;
+    on_interaction(medium, &segment, &flight, at, tally);
+    if (at->throughput < PATH_ROULETTE_THROUGHPUT) {
+        const bool survives = v.y * PATH_ROULETTE_THROUGHPUT < at->throughput;
+        on_roulette(at->throughput, PATH_ROULETTE_THROUGHPUT, survives, tally);
+        if (!survives) {
+            on_termination(TERMINATION_KILLED, at->throughput, tally);
+            return false;
         }
-        const float3 new_direction = sample_scatter(medium, at.particle, at.ray.direction, u.zw);
-        on_scattering(medium, &at, new_direction, key, tally);
-        at.ray.direction = new_direction;
+        at->throughput = PATH_ROULETTE_THROUGHPUT;
+    }
+    const float3 new_direction = sample_scatter(medium, at->particle, at->ray.direction, u.zw);
+    on_scattering(medium, at, new_direction, key, tally);
+    at->ray.direction = new_direction;
+    ++at->event;
+    return true;
+}
+
+/* Walks a path on to its end. */
+inline void walk_on(const Medium *medium, Interaction at, const SampleKey *key, Tally *tally)
+{
+    while (walk_event(medium, &at, key, tally)) {
     }
 }
 
-/* Walks a whole path from its first ray. */
-inline void walk_path(const Medium *medium, Ray first_ray, const SampleKey *key, Tally *tally)
+/* Where a whole path begins: with its first ray. */
+inline Interaction path_start(Ray first_ray)
 {
     Interaction at;
     at.ray = first_ray;
     at.throughput = 1.0f;
     at.event = 1u;
-    walk_on(medium, at, key, tally);
+    return at;
+}
+
+/* Walks a whole path from its first ray. */
+inline void walk_path(const Medium *medium, Ray first_ray, const SampleKey *key, Tally *tally)
+{
+    walk_on(medium, path_start(first_ray), key, tally);
 }
 
 #endif

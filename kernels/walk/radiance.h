@@ -41,35 +41,43 @@
 /* Side flights: from a collision, flights in directions drawn around the sun estimate the
  * next order's sunlight, combined with the path's own next collision by the balance heuristic
  * (Veach and Guibas 1995); they take the load of the rare, huge local estimates that a
- * forward peak gives. `count` is their expected number. */
-static void side_flights(const Medium *medium, const Interaction *at, float count, const SampleKey *key, Tally *tally)
+ * forward peak gives. `count` is their expected number; this is the one of number n. */
+RARE_FUNCTION void side_flight(const Medium *medium, const Interaction *at, float count, uint n, const SampleKey *key,
+                               Tally *tally)
 {
-    const float3 sun = sun_direction(medium->scene);
-    const uint flights = (uint)(count + at->u_side_flights);
-    for (uint n = 0; n < flights; ++n) {
-        const uint block = at->event * BLOCKS_PER_EVENT + BLOCK_SIDE + 2u * n;
-        const float4 v = uniforms(key, block);
-        const float2 w = uniforms(key, block + 1u).xy;
-        Ray ray = at->ray;
-        ray.direction = sample_around_sun(medium, v.zw);
-        const float density = scatter_density(medium, at->particle, at->ray.direction, ray.direction);
-        if (!(density > 0.0f))
-            continue;
-        const Segment segment = {ray, -logarithm(v.x), at->throughput, at->event + 1u};
-        const float share = density / (density + count * sun_density(medium, ray.direction));
-        const Flight flight = fly(medium, &ray, segment.optical_depth);
-        if (!flight.collided) {
-            tally_side_flight(medium, &segment, &flight, PARTICLE_NONE, share, 0.0f, tally);
-            continue;
-        }
-        float albedo;
-        const Particle end = choose_particle(medium, flight.droplets, flight.air, flight.index, v.y, w.y, &albedo);
-        const float weight = at->throughput * albedo * share * scatter_density(medium, end, ray.direction, sun);
-        const LocalEstimate estimate = local_estimate(medium, &ray, weight, LOCAL_ESTIMATE_ROULETTE, w.x);
-        tally_side_flight(medium, &segment, &flight, end, share, estimate.radiance, tally);
-        tally_shadow_ray(medium, &ray, &estimate, tally);
-        tally->radiance += estimate.radiance;
+    const uint block = at->event * BLOCKS_PER_EVENT + BLOCK_SIDE + 2u * n;
+    const float4 v = uniforms(key, block);
+    Ray ray = at->ray;
+    ray.direction = sample_around_sun(medium, v.zw);
+    const float density = scatter_density(medium, at->particle, at->ray.direction, ray.direction);
+    if (!(density > 0.0f))
+        return;
+    const float share = density / (density + count * sun_density(medium, ray.direction));
+    const float optical_depth = -logarithm(v.x);
+    const Flight flight = fly(medium, &ray, optical_depth);
+    Segment segment = {at->ray, optical_depth, at->throughput, at->event + 1u};
+    segment.start.direction = ray.direction;
+    if (!flight.collided) {
+        tally_side_flight(medium, &segment, &flight, PARTICLE_NONE, share, 0.0f, tally);
+        return;
     }
+    const float2 w = uniforms(key, block + 1u).xy;
+    float albedo;
+    const Particle end = choose_particle(medium, flight.droplets, flight.air, flight.index, v.y, w.y, &albedo);
+    const float weight = at->throughput * albedo * share
+                         * scatter_density(medium, end, ray.direction, sun_direction(medium->scene));
+    const LocalEstimate estimate = local_estimate(medium, &ray, weight, LOCAL_ESTIMATE_ROULETTE, w.x);
+    tally_side_flight(medium, &segment, &flight, end, share, estimate.radiance, tally);
+    tally_shadow_ray(medium, &ray, &estimate, tally);
+    tally->radiance += estimate.radiance;
+}
+
+LARGE_FUNCTION void side_flights(const Medium *medium, const Interaction *at, float count, const SampleKey *key,
+                                 Tally *tally)
+{
+    const uint flights = (uint)(count + at->u_side_flights);
+    for (uint n = 0; n < flights; ++n)
+        side_flight(medium, at, count, n, key, tally);
 }
 
 inline Flight on_flight(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)

@@ -18,6 +18,13 @@ typedef struct {
     uint sample;
 } SampleKey;
 
+/* Of a sample of a camera's pixel (view, row * width + column). */
+inline SampleKey sample_key(uint seed, uint stream, uint2 pixel, uint sample)
+{
+    const SampleKey key = {seed, stream, pixel.y, pixel.x, sample};
+    return key;
+}
+
 /* The view of the photons that start in the sun. */
 #define SUN_VIEW 0xFFFFFFFFu
 /* Paths that belong to a camera's path draw from views of their own: added to the camera's view, of which there

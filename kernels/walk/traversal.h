@@ -10,7 +10,7 @@
  * The function flies along the ray until it has crossed the optical depth `optical_depth` (a collision) or left all
  * that scatters; it moves the ray there.
  */
-static Flight TRAVERSAL(const Medium *medium, Ray *ray, float optical_depth TRAVERSAL_CONTEXT)
+LARGE_FUNCTION Flight TRAVERSAL(const Medium *medium, Ray *ray, float optical_depth TRAVERSAL_CONTEXT)
 {
     const __constant Scene *scene = medium->scene;
     Flight flight = {false, false, false, false, 0.0f, 0.0f, 0.0f, -1};

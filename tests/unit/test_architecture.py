@@ -25,7 +25,7 @@ KNOWN_BY = {
     "psutil": ("memory.py", "files/whole.py"),
     "miepython": ("clouds/mie.py",),
 }
-LINES_OF_FILE, LINES_OF_FUNCTION, CONDITIONALS_OF_WALK = 500, 60, 6
+LINES_OF_FILE, LINES_OF_FUNCTION, CONDITIONALS_OF_WALK = 500, 60, 7
 # What is longer, how long it may be, and why.
 LONGER_FILES = {
     "cloudtomo_cl/reference/paths.py": 545,  # the twin of kernels/walk, in one piece to read it beside them
