@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cloudtomo_cl.commands import options
+from cloudtomo_cl.commands import options, ranks
 
 HELP = "compute fluxes and absorption"
 
@@ -43,5 +43,6 @@ def run(**given: Any) -> None:
     """Computes the fluxes of a scene file, or of the scene of a file of fluxes or images, column by column."""
     from cloudtomo_cl.commands import fluxes
 
-    job = fluxes.prepare(fluxes.Request(**given))
-    fluxes.deliver(job, fluxes.execute(job))
+    job = ranks.current().together(lambda: fluxes.prepare(fluxes.Request(**given)))
+    result = fluxes.execute(job)
+    ranks.first_alone(lambda: fluxes.deliver(job, result))

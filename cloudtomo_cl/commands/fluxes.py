@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from cloudtomo_cl.commands import progress, stopping
+from cloudtomo_cl.commands import progress, ranks, stopping
 from cloudtomo_cl.commands.provenance import describe_device, source, versions
 from cloudtomo_cl.files.extinction import extinction_dataset, read_effective_radius, read_extinction
 from cloudtomo_cl.files.netcdf import ENDINGS, check_output, is_netcdf, save_dataset
@@ -85,7 +85,7 @@ def prepare(request: Request) -> Job:
     stopping.check()
     return Job(
         request=request,
-        operator=FluxOperator(scene, choose_device(request.device), effective_radius=radius),
+        operator=FluxOperator(scene, choose_device(request.device, ranks.current()), effective_radius=radius),
         extinction=extinction,
         effective_radius=radius,
         photons=request.photons or made.get("photons", _DEFAULT_PHOTONS),

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cloudtomo_cl.commands import options
+from cloudtomo_cl.commands import options, ranks
 
 HELP = "recover a cloud from images"
 
@@ -64,6 +64,6 @@ def run(**given: Any) -> None:
 
     request = reconstruction.Request(**given)
     require_file(request.run)
-    with request.folder.held():
-        job = reconstruction.prepare(request)
+    with ranks.held_by_first(request.folder.held):
+        job = ranks.current().together(lambda: reconstruction.prepare(request))
         reconstruction.deliver(job, reconstruction.execute(job))

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cloudtomo_cl.commands import options
+from cloudtomo_cl.commands import options, ranks
 
 HELP = "compute images of a scene"
 
@@ -76,5 +76,6 @@ def run(**given: Any) -> None:
     """Renders a scene file, or images again, into a file of measurements."""
     from cloudtomo_cl.commands import rendering
 
-    job = rendering.prepare(rendering.Request(**given))
-    rendering.deliver(job, rendering.execute(job))
+    job = ranks.current().together(lambda: rendering.prepare(rendering.Request(**given)))
+    result = rendering.execute(job)
+    ranks.first_alone(lambda: rendering.deliver(job, result))

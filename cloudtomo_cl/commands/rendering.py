@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from cloudtomo_cl.commands import progress, stopping
+from cloudtomo_cl.commands import progress, ranks, stopping
 from cloudtomo_cl.commands.provenance import describe_device, source, versions
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.extinction import read_effective_radius, read_extinction
@@ -108,7 +108,7 @@ def prepare(request: Request) -> Job:
     noise = None if made.get("noise") is None else noise_of_table(request.scene, made["noise"])
     return Job(
         request=request,
-        operator=RadianceOperator(scene, seen, choose_device(request.device), effective_radius=radius),
+        operator=RadianceOperator(scene, seen, choose_device(request.device, ranks.current()), effective_radius=radius),
         extinction=extinction,
         effective_radius=radius,
         samples=samples,

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cloudtomo_cl.commands import options, stopping
+from cloudtomo_cl.commands import options, ranks
 from cloudtomo_cl.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -83,12 +83,12 @@ def run(
     if not cases:
         raise SettingsError(f"--only {only}: no case has this in its name; without --only the table lists them")
     number = photons or (validation.QUICK_PHOTONS if quick else validation.PHOTONS)
-    chosen = choose_device(device)
+    chosen = choose_device(device, ranks.current())
     console = Console(markup=False, emoji=False, quiet=quiet)
     rows: list[Row] = []
     start = time.perf_counter()
     for case in cases:
-        stopping.check()
+        ranks.check_together()
         began = time.perf_counter()
         rows += validation.run(case, chosen, number, seed, files)
         took = duration(time.perf_counter() - began)
@@ -101,7 +101,7 @@ def run(
     ]
     if files is None:
         notes.append("not compared: I3RC's columns and Landsat cloud, which need --data")
-    if output is not None:
+    if output is not None and ranks.current().is_first:
         with written_whole(output) as partial:
             partial.write_text(WRITERS[output.suffix](rows, notes), encoding="utf-8")
     if not quiet:
