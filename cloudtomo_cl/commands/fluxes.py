@@ -176,13 +176,17 @@ def _to_compute(path: Path, overrides: Sequence[str]) -> tuple[Scene, np.ndarray
     scene = settings.scene(grid)
     if "boundary" not in settings.model_fields_set and not can_be_open(scene):
         # As a scene of `init render`: fluxes have no other choice, and nobody has made one.
-        print(
+        _warn(
             f'cloudtomo flux: {path} has no [boundary]: horizontal = "periodic" is taken, for open sides over a '
-            "surface that reflects, or beside air, would need endlessly many photons",
-            file=sys.stderr,
+            "surface that reflects, or beside air, would need endlessly many photons"
         )
         scene = replace(scene, boundary=Boundary("periodic"))
     return scene, extinction, read_effective_radius(file), {"cloud_file": file.name}
+
+
+def _warn(text: str) -> None:
+    if ranks.current().is_first:
+        print(text, file=sys.stderr)
 
 
 def _variables(fluxes: Fluxes) -> dict[str, Any]:

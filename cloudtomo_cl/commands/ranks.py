@@ -1,6 +1,6 @@
-"""The ranks that a command was started with, `mpiexec -n 4 cloudtomo ...` or `srun`, and how they end together.
+"""The ranks of a command, of `mpiexec -n 4 cloudtomo ...`, `srun` or `--device 0,1`, and how they end together.
 
-The first rank reads the terminal's wishes, talks and writes; the others compute, and speak only if something fails on
+The first rank talks and writes; the others compute, and speak only if something fails on
 them alone.
 """
 
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, redirect_stderr, redirect_stdout
@@ -22,23 +23,61 @@ if TYPE_CHECKING:
 
 # Seconds that a rank which has failed waits for the others to fail, too, before it ends them.
 _GRACE = 3.0
-_current: Ranks | None = None
+_current = threading.local()  # which has `ranks`, while a command runs
 
 
 def current() -> Ranks:
-    """Those of the command that runs."""
+    """Those of the command that runs, in this thread of it."""
     from cloudtomo_cl.parallel.ranks import ALONE
 
-    return ALONE if _current is None else _current
+    return getattr(_current, "ranks", ALONE)
+
+
+@contextmanager
+def _among(ranks: Ranks) -> Iterator[None]:
+    before = current()
+    _current.ranks = ranks
+    try:
+        yield
+    finally:
+        _current.ranks = before
+
+
+def on_devices(work: Callable[..., None], options: dict[str, Any]) -> None:
+    """Does a command's work with its options; with `--device 0,1` in a thread for each of these, as ranks.
+
+    Under MPI ranks take one each of those that are named.
+    """
+    names = (options["device"] or "").split(",")
+    if len(names) == 1 or current().size > 1:
+        return work(**_as_rank(options))
+
+    from cloudtomo_cl.parallel.threads import shared_by_threads
+
+    def run(ranks: Ranks) -> None:
+        with _among(ranks):
+            work(**_as_rank(options))
+
+    shared_by_threads(len(names), run)
+
+
+def _as_rank(options: dict[str, Any]) -> dict[str, Any]:
+    """The options, for a rank that says nothing unless it is the first."""
+    return options | {"quiet": options["quiet"] or not current().is_first}
 
 
 def check_together() -> None:
     """A safe place that all ranks come to. Raises Interrupted on all if somebody asked one of them to stop."""
     number = max(current().all(stopping.current().signal_number or 0))
     if number:
-        error = Interrupted("interrupted", stopping.exit_status(number))
-        error.told_by_all = current().size > 1  # type: ignore[attr-defined]
-        raise error
+        raise interrupted("interrupted", stopping.exit_status(number))
+
+
+def interrupted(text: str, status: int) -> Interrupted:
+    """An error that all ranks raise, so that the first one tells it."""
+    error = Interrupted(text, status)
+    error.told_by_all = True  # type: ignore[attr-defined]
+    return error
 
 
 def first_alone(work: Callable[[], Any]) -> None:
@@ -75,8 +114,7 @@ def run_shared(work: Callable[[Callable[[str, BaseException | None], None]], int
     ------
     MissingPackageError, SettingsError : as `launched_ranks`
     """
-    global _current
-    ranks, before, error_stream = launched_ranks(), _current, sys.stderr
+    ranks, error_stream = launched_ranks(), sys.stderr
 
     def tell(text: str, error: BaseException | None) -> None:
         if ranks.is_first:
@@ -84,12 +122,13 @@ def run_shared(work: Callable[[Callable[[str, BaseException | None], None]], int
         elif not getattr(error, "told_by_all", False):
             print(f"{ranks.name}: {text}", file=error_stream)
 
-    _current = ranks if shares else None
     status = 0
     try:
         with ExitStack() as stack:
             if not ranks.is_first:
                 stack.enter_context(_silent())
+            if shares:
+                stack.enter_context(_among(ranks))
             if shares or ranks.is_first:
                 status = work(tell)
     except BaseException:
@@ -98,7 +137,6 @@ def run_shared(work: Callable[[Callable[[str, BaseException | None], None]], int
             status = 1
         raise
     finally:
-        _current = before
         ranks.ended(status, _GRACE)
     return status
 

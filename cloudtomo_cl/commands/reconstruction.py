@@ -277,7 +277,7 @@ def deliver(job: Job, outcome: Outcome) -> None:
     ranks.first_alone(lambda: _write_result(job, outcome))
     if outcome.signal_number is not None:
         text = f"interrupted in {outcome.where}; what was reached is in {output}: {job.request.resume_command}"
-        raise Interrupted(text, exit_status(outcome.signal_number))
+        raise ranks.interrupted(text, exit_status(outcome.signal_number))
     try:
         _show_result(job, outcome)
     except Interrupted as interrupted:

@@ -74,8 +74,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(**given: Any) -> None:
     """Renders a scene file, or images again, into a file of measurements."""
+    ranks.on_devices(_run, given)
+
+
+def _run(**given: Any) -> None:
     from cloudtomo_cl.commands import rendering
 
-    job = ranks.current().together(lambda: rendering.prepare(rendering.Request(**given)))
+    job = ranks.current().in_turn(lambda: rendering.prepare(rendering.Request(**given)))
     result = rendering.execute(job)
     ranks.first_alone(lambda: rendering.deliver(job, result))

@@ -131,6 +131,10 @@ class Ranks:
             failure.told_by_all = True  # type: ignore[attr-defined]
         raise failure
 
+    def in_turn(self, work: Callable[[], _Result]) -> _Result:
+        """As `together`; threads of one process do it one after the other, for libraries that know no threads."""
+        return self.together(work)
+
     def require_same(self, array: np.ndarray, what: str) -> None:
         """TransportError if an array that all ranks compute alike differs between them."""
         if self.size == 1:
