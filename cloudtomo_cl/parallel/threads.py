@@ -54,7 +54,7 @@ class ThreadRanks(Ranks):
 
     def joined(self, rows: np.ndarray, counts: Sequence[int]) -> np.ndarray:
         self.sent += rows.nbytes
-        return self._met(rows, lambda brought: np.concatenate(brought))
+        return self._met(rows, _one_after_the_other)
 
     def exchange(self, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
         self.sent += sum(part.nbytes for part in parts) - parts[self.rank].nbytes
@@ -66,6 +66,10 @@ class ThreadRanks(Ranks):
                 return work()
 
         return self.together(alone)
+
+
+def _one_after_the_other(rows: list[np.ndarray]) -> np.ndarray:
+    return np.concatenate(rows)
 
 
 def shared_by_threads(size: int, work: Callable[[Ranks], _Result]) -> _Result:
@@ -84,7 +88,8 @@ def shared_by_threads(size: int, work: Callable[[Ranks], _Result]) -> _Result:
             results[rank] = work(ThreadRanks(meeting, rank))
         except BaseException as error:
             failures[rank] = error
-            meeting.barrier.abort()  # nobody waits for it any more
+            if not getattr(error, "told_by_all", False):
+                meeting.barrier.abort()  # nobody waits for it any more
 
     threads = [threading.Thread(target=run, args=(rank,), name=f"rank {rank}") for rank in range(size)]
     # BLAS's number of threads is the whole process's: who sets it back in the meantime would change others' bits.

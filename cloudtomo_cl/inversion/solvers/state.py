@@ -85,7 +85,8 @@ def _check(name: str, array: np.ndarray, like: np.ndarray, any_length: bool = Fa
 
 
 def _saved(state: Any) -> list[tuple[str, Any]]:
-    return [(own.name, getattr(state, own.name)) for own in fields(state) if own.metadata.get("saved", True)]
+    values = [(own.name, getattr(state, own.name)) for own in fields(state) if own.metadata.get("saved", True)]
+    return [(name, value) for name, value in values if value is not None]  # of what a solver does without
 
 
 def _field(state: Any, name: str) -> Any:
