@@ -50,7 +50,7 @@ class ThreadRanks(Ranks):
 
     def _added(self, values: np.ndarray) -> np.ndarray:
         self.sent += values.nbytes
-        return self._met(values, sum)
+        return self._met(values, _added_up)
 
     def joined(self, rows: np.ndarray, counts: Sequence[int]) -> np.ndarray:
         self.sent += rows.nbytes
@@ -66,6 +66,10 @@ class ThreadRanks(Ranks):
                 return work()
 
         return self.together(alone)
+
+
+def _added_up(values: list[np.ndarray]) -> np.ndarray:
+    return np.sum(values, axis=0)
 
 
 def _one_after_the_other(rows: list[np.ndarray]) -> np.ndarray:

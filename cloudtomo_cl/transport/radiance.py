@@ -237,7 +237,7 @@ class RadianceOperator:
         sums, launches = self.ranks.together(
             lambda: self._walk(medium, samples, first_sample, (seed, stream), budget, store_paths, progress)
         )
-        return self._rendering(sums, samples, seed, stream, budget, medium, launches)
+        return self._rendering(self._shares.gathered(sums), samples, seed, stream, budget, medium, launches)
 
     def _walk(
         self,
@@ -324,7 +324,7 @@ class RadianceOperator:
 
     def _rendering(
         self,
-        sums: np.ndarray,
+        host: np.ndarray,
         samples: int,
         seed: int,
         stream: int,
@@ -332,7 +332,6 @@ class RadianceOperator:
         medium: FilledMedium,
         launches: list[tuple[int, Any]] | None,
     ) -> Rendering:
-        host = self._shares.gathered(sums)
         irradiance = self.scene.sun.irradiance
         halves = irradiance * (host["half_sum"].astype(float) + host["half_low"]) / (samples // 2)
         mean = halves.mean(axis=1)
