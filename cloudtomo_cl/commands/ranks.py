@@ -12,7 +12,7 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, redirect_stderr, redirect_stdout
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from cloudtomo_cl.commands import stopping
 from cloudtomo_cl.errors import Interrupted
@@ -21,6 +21,7 @@ from cloudtomo_cl.parallel.launched import launched_rank, launched_ranks
 if TYPE_CHECKING:
     from cloudtomo_cl.parallel.ranks import Ranks
 
+_Result = TypeVar("_Result")
 # Seconds that a rank which has failed waits for the others to fail, too, before it ends them.
 _GRACE = 3.0
 _current = threading.local()  # which has `ranks`, while a command runs
@@ -43,22 +44,23 @@ def _among(ranks: Ranks) -> Iterator[None]:
         _current.ranks = before
 
 
-def on_devices(work: Callable[..., None], options: dict[str, Any]) -> None:
+def on_devices(work: Callable[..., _Result], options: dict[str, Any]) -> _Result:
     """Does a command's work with its options; with `--device 0,1` in a thread for each of these, as ranks.
 
     Under MPI ranks take one each of those that are named.
     """
-    names = (options["device"] or "").split(",")
+    from cloudtomo_cl.opencl.device import named_devices
+    from cloudtomo_cl.parallel.threads import shared_by_threads
+
+    names = named_devices(options["device"])
     if len(names) == 1 or current().size > 1:
         return work(**_as_rank(options))
 
-    from cloudtomo_cl.parallel.threads import shared_by_threads
-
-    def run(ranks: Ranks) -> None:
+    def run(ranks: Ranks) -> _Result:
         with _among(ranks):
-            work(**_as_rank(options))
+            return work(**_as_rank(options))
 
-    shared_by_threads(len(names), run)
+    return shared_by_threads(len(names), run)
 
 
 def _as_rank(options: dict[str, Any]) -> dict[str, Any]:

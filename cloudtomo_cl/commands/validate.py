@@ -6,7 +6,7 @@ import argparse
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cloudtomo_cl.commands import options, ranks
 from cloudtomo_cl.errors import SettingsError
@@ -54,7 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_quiet(parser)
 
 
-def run(
+def run(**given: Any) -> int:
+    """Compares; returns the exit status."""
+    return ranks.on_devices(_run, given)
+
+
+def _run(
     data: Path | None,
     quick: bool,
     photons: int | None,
@@ -65,7 +70,6 @@ def run(
     quiet: bool,
     overwrite: bool,
 ) -> int:
-    """Compares; returns the exit status."""
     from rich.console import Console
 
     from cloudtomo_cl import validation
@@ -106,7 +110,7 @@ def run(
             partial.write_text(WRITERS[output.suffix](rows, notes), encoding="utf-8")
     if not quiet:
         print_table(rows, notes)
-    for row in failed:
+    for row in failed if ranks.current().is_first else ():
         print(f"cloudtomo validate: failed: {', '.join(cells(row))}", file=sys.stderr)
     return EXIT_FAILED if failed else 0
 

@@ -382,21 +382,35 @@ def chosen_index(name: str | int | None = None, communicator: Any = None) -> int
 
 
 def _chosen(devices: list[Any], name: str | int | None, ranks: Ranks) -> int:
-    wanted = str(name) if name is not None else os.environ.get(ENVIRONMENT_VARIABLE, "")
-    found = _named(devices, wanted)
+    numbers = named_devices(name)
+    if len(numbers) > 1 and ranks.size == 1:
+        raise DeviceError(f"device {','.join(numbers)!r} is several, and here one is wanted: in Python see on_devices")
+    wanted = ",".join(numbers)
+    found = _named(devices, numbers)
     if found:
         return devices.index(found[ranks.place % len(found)])
     listed = "; ".join(f"{index}: {device.name.strip()}" for index, device in enumerate(devices))
     raise DeviceError(f"no OpenCL device {wanted!r}; there are {listed} (choose an index or a part of a name)")
 
 
-def _named(devices: list[Any], wanted: str) -> list[Any]:
-    """The devices that a name stands for, of which ranks take one each; all of the first kind without a name."""
+def named_devices(name: str | int | None) -> list[str]:
+    """The indices in a name, or the one name that it is; without one what the environment names, or an empty one."""
+    wanted = str(name) if name is not None else os.environ.get(ENVIRONMENT_VARIABLE, "")
+    numbers = [number.strip() for number in wanted.split(",")]
+    return numbers if all(map(_is_index, numbers)) else [wanted]
+
+
+def _is_index(text: str) -> bool:
+    return text.isascii() and text.isdigit()
+
+
+def _named(devices: list[Any], names: list[str]) -> list[Any]:
+    """The devices that names stand for, of which ranks take one each; all of the first kind without a name."""
+    wanted = names[0]
     if not wanted:
         return [device for device in devices if _kind(device) == _kind(devices[0])]
-    numbers = wanted.split(",")
-    if all(number.strip().isascii() and number.strip().isdigit() for number in numbers):
-        chosen = [int(number) for number in numbers]
+    if _is_index(wanted):
+        chosen = [int(number) for number in names]
         return [devices[number] for number in chosen] if max(chosen) < len(devices) else []
     return [device for device in devices if wanted.lower() in f"{device.platform.name} {device.name}".lower()]
 

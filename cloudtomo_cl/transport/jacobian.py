@@ -247,7 +247,7 @@ class JacobianSums:
     @device_errors("the derivatives")
     def __init__(self, operator: RadianceOperator) -> None:
         self._operator = operator
-        self._table = RadianceTable(operator)
+        self._table = operator.ranks.together(lambda: RadianceTable(operator))
         self.structure = NearField(operator, self._table.column)
         device, own = operator.device, self.structure
         self._near = device.zeros(max(own.entries, 1), np.float32)

@@ -9,6 +9,7 @@ import pytest
 
 from cloudtomo_cl.commands import ranks as of_commands
 from cloudtomo_cl.errors import DataError, DeviceError, Interrupted, MissingPackageError, TransportError
+from cloudtomo_cl.opencl.device import choose_device
 from cloudtomo_cl.opencl.fixed_point import summed
 from cloudtomo_cl.opencl.several import on_devices
 from cloudtomo_cl.parallel.launched import launched_rank, launched_ranks
@@ -152,6 +153,11 @@ def test_the_devices_of_a_process_are_named(device):
         on_devices([0, "no such"], lambda own: None)
     with pytest.raises(DeviceError, match="no device is named"):
         on_devices([], lambda own: None)
+
+
+def test_several_devices_are_not_taken_for_one(device):
+    with pytest.raises(DeviceError, match="device '0,0' is several, and here one is wanted"):
+        choose_device("0,0")
 
 
 def launcher(monkeypatch, **variables):
