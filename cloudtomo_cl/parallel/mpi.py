@@ -56,7 +56,7 @@ class MPIRanks(Ranks):
         return bool(found[0])
 
     def _added(self, values: np.ndarray) -> np.ndarray:
-        result = np.array(values, np.int64)
+        result = np.require(values, np.int64, ["C", "W"])
         flat = result.reshape(-1)
         for begin in range(0, flat.size, _AT_ONCE):
             self._communicator.Allreduce(MPI.IN_PLACE, flat[begin : begin + _AT_ONCE], MPI.SUM)

@@ -71,7 +71,10 @@ class Ranks:
         return bool(flag)
 
     def sum(self, values: np.ndarray) -> np.ndarray:
-        """Sums over ranks of integers of 64 bits, exact; the least one where a sum does not fit."""
+        """Sums over ranks of integers of 64 bits, exact; the least one where a sum does not fit.
+
+        The array is given away: the sums may take its place, for both may be large.
+        """
         if self.size == 1:
             return values
         largest = max(self.all(max(int(values.max(initial=0)), -int(values.min(initial=0)))))
@@ -103,7 +106,7 @@ class Ranks:
             return Shares(self, len(blocks))
         # In turn, for what costs much lies together; turned from round to round, for images have rows.
         numbers = np.asarray(blocks, np.int64)
-        return Shares(self, len(blocks), (numbers + numbers // self.size) % self.size)
+        return Shares(self, len(blocks), ((numbers + numbers // self.size) % self.size).astype(np.uint16))
 
     def part(self, count: int) -> range:
         """This rank's part of so many things in a row."""

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from cloudtomo_cl.transport.jacobian import NearField
 
 
+# In which the far field changes hands.
+_PARTS = 8
+
+
 class ByVoxel(Protocol):
     """The entries of a near field by columns, of this rank's voxels, as kernels take them.
 
@@ -94,31 +98,41 @@ class _Exchanged:
         owner = self.shares.owner[columns]
         self._order = np.argsort(owner, kind="stable").astype(np.uint32)
         self._cuts = np.cumsum(np.bincount(owner, minlength=self._ranks.size))[:-1]
-        rows = np.repeat(structure.shares.own, np.diff(row_start)).astype(np.int32)
-        places = np.column_stack([columns, rows])[self._order]
-        column, row = np.concatenate(self._ranks.exchange(np.split(places, self._cuts))).T
+        rows = np.repeat(structure.shares.own.astype(np.int32), np.diff(row_start))
+        column, row = self._exchanged(columns), self._exchanged(rows)
+        del owner, rows
         self._place = np.lexsort((row, column)).astype(np.uint32)
         counts = np.bincount(column, minlength=structure.voxels)[self.shares.own]
+        del column
         self.start = constant(np.concatenate([[0], np.cumsum(counts)]).astype(np.uint32))
-        self.entries = constant(np.arange(len(column), dtype=np.uint32))
+        self.entries = constant(np.arange(len(row), dtype=np.uint32))
         self.rows = constant(row[self._place].astype(np.uint32))
         self._pixel_blocks = len(structure.pixel_blocks)
         self._rows_of = self._ranks.all(structure.row_blocks)
         self._blocks_of = self._ranks.all(self.blocks)
+
+    def _exchanged(self, values: np.ndarray) -> np.ndarray:
+        """What belongs to the entries of this rank's columns, from what belongs to those of its rows."""
+        return np.concatenate(self._ranks.exchange(np.split(values[self._order], self._cuts)))
 
     def arrays(self, near: DeviceArray, far: DeviceArray) -> tuple[DeviceArray, DeviceArray]:
         shape = (self._pixel_blocks, max(len(self.blocks), 1))
         return self._device.zeros(max(len(self._place), 1), np.float32), self._device.zeros(shape, np.float32)
 
     def refresh(self, near: DeviceArray, far: DeviceArray, arrays: tuple[DeviceArray, DeviceArray]) -> None:
-        values = near.get()[: len(self._order)][self._order]
-        values = np.concatenate(self._ranks.exchange(np.split(values, self._cuts)))[self._place]
+        values = self._exchanged(near.get()[: len(self._order)])
         if len(values):
-            arrays[0].set(values)
-        own = far.get()[: len(self._rows_of[self._ranks.rank])]
-        parts = self._ranks.exchange([np.ascontiguousarray(own[:, blocks]).reshape(-1) for blocks in self._blocks_of])
-        if len(self.blocks):
-            whole = np.empty((self._pixel_blocks, len(self.blocks)), np.float32)
-            for rows, part in zip(self._rows_of, parts):
+            arrays[0].set(values[self._place])
+        del values
+        own = far.get()
+        whole = np.empty((self._pixel_blocks, len(self.blocks)), np.float32)
+        # So many rows at a time that what is on its way is small beside what stays.
+        at_once = max(max(map(len, self._rows_of)) // _PARTS, 1)
+        for first in range(0, max(map(len, self._rows_of)), at_once):
+            rows_of = [rows[first : first + at_once] for rows in self._rows_of]
+            some = own[first : first + len(rows_of[self._ranks.rank])]
+            parts = self._ranks.exchange([some[:, blocks].reshape(-1) for blocks in self._blocks_of])
+            for rows, part in zip(rows_of, parts):
                 whole[rows] = part.reshape(len(rows), len(self.blocks))
+        if len(self.blocks):
             arrays[1].set(whole)

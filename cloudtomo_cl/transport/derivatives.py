@@ -25,6 +25,10 @@ _MOST_ENTRIES = 2**31 - 1
 # cameras' paths hardly go from there to what shines on it. Each is worth so little of a crossing that it counts in
 # what is pooled with the neighbours: a voxel's own few are noise.
 _THIN, _PROBES, _WORTH = 1.0, 32, 0.1
+# Of the whole grid that are smoothed together.
+_BINS_AT_ONCE = 15
+# Whose sums become floating-point numbers of twice the table's size together.
+_CELLS_AT_ONCE = 1 << 12
 # After so many gradients the table is made anew, and what it held before fades.
 _FADING = 0.7
 _REFRESH = 4
@@ -224,7 +228,11 @@ class RadianceTable:
         """Makes source and radiance anew from what paths have brought, at a rendering's extinction."""
         self._operator.ranks.together(lambda: self._probe(rendering))
         self._table *= _FADING
-        self._table += self._all_sums() / np.float32(TABLE_UNIT)
+        brought = self._all_sums()
+        for first in range(0, len(brought), _CELLS_AT_ONCE):
+            part = slice(first, first + _CELLS_AT_ONCE)
+            self._table[part] += brought[part] / np.float32(TABLE_UNIT)
+        del brought
         self._operator.device.clear(self._field)
         self._divide(rendering)
         radiance = self._radiance()
@@ -243,11 +251,13 @@ class RadianceTable:
         cells, edge = self._cells, float(np.mean(self._operator.scene.grid.spacing))
         sums = cells.summed(self._table)
         everywhere = sums[..., 1].sum(axis=0) / np.maximum(sums[..., 0].sum(axis=0), 1e-30)
-        near = []
-        for kind in range(2):  # one after the other, for the sake of memory
-            full = np.zeros((*self._mask.shape, BINS), np.float32)
-            full[self._mask] = sums[..., kind]
-            near.append(_with_neighbours(full)[self._mask])
+        near = [np.empty(sums.shape[:-1], np.float32) for _ in range(2)]
+        for first in range(0, BINS, _BINS_AT_ONCE):  # some after the others, for the sake of memory
+            bins = slice(first, min(first + _BINS_AT_ONCE, BINS))
+            for kind, found in enumerate(near):
+                full = np.zeros((*self._mask.shape, bins.stop - first), np.float32)
+                full[self._mask] = sums[:, bins, kind]
+                found[:, bins] = _with_neighbours(full)[self._mask]
         least = _NEIGHBOUR_CROSSINGS * edge
         neighbours = (near[1] + least * everywhere) / (near[0] + least)
         radiance = _leaning(sums, neighbours, np.full(len(sums), edge))

@@ -317,8 +317,9 @@ class JacobianSums:
     def _rows(self) -> list[tuple[int, int]]:
         """Pixels whose sums are made at a time: the first, and how many."""
         start, parts, first = self.structure.slot_start_on_host, [], 0
+        most = _SLOTS_AT_ONCE // self._operator.ranks.size
         while first < self.structure.rows:
-            last = int(np.searchsorted(start, start[first] + _SLOTS_AT_ONCE, side="right")) - 1
+            last = int(np.searchsorted(start, start[first] + most, side="right")) - 1
             last = min(max(last, first + 1), self.structure.rows)
             parts.append((first, last - first))
             first = last
