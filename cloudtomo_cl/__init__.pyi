@@ -40,6 +40,7 @@ from .inversion.solvers.protocol import Progress, Solver
 from .inversion.stages import Stage, automatic_stages
 from .inversion.voxels import Voxels
 from .opencl.device import choose_device, list_devices
+from .opencl.several import on_devices
 from .report.volume import plot_volume
 from .scene.droplets import DropletTable, extinction_at, extinction_from_water
 from .scene.formations import MISR_ANGLES, RingOfViews, StringOfScans, StringOfViews, fisheye_rays
@@ -136,6 +137,7 @@ __all__ = [
     "fisheye_rays",
     "list_devices",
     "measurements_dataset",
+    "on_devices",
     "plot_volume",
     "read_checkpoint",
     "read_cloud",

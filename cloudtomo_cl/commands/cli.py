@@ -9,15 +9,18 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
 
-from cloudtomo_cl.commands import cloud, devices, flux, init, mie, reconstruct, render, report, validate
+from cloudtomo_cl.commands import cloud, devices, flux, init, mie, ranks, reconstruct, render, report, validate
 from cloudtomo_cl.commands.stopping import StopRequest, exit_status, listening
 from cloudtomo_cl.commands.streams import forgiving
 from cloudtomo_cl.errors import CloudtomoError, DeviceError, Interrupted, printable
+
+# Tells how a command ends: a text, and the error that it is of.
+Tell = Callable[[str, BaseException | None], None]
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
@@ -26,6 +29,9 @@ COMMANDS: dict[str, ModuleType] = {
     module.__name__.rpartition(".")[2]: module
     for module in (devices, cloud, init, mie, render, flux, reconstruct, report, validate)
 }
+
+# Those whose work ranks of MPI share; of others the first rank does all.
+_SHARED = ("devices", "render", "flux", "reconstruct", "validate")
 
 DESCRIPTION = """\
 3-D cloud extinction from images taken from several directions.
@@ -97,35 +103,41 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
     with forgiving("cloudtomo"):
-        options = vars(parser().parse_args(arguments))
+        with ranks.silent_but_first():
+            options = vars(parser().parse_args(arguments))
+        command = options.pop("command")
         with without_display():
-            return _run(options.pop("command"), options)
+            try:
+                return ranks.run_shared(lambda tell: _run(command, options, tell), command in _SHARED)
+            except CloudtomoError as error:
+                with ranks.silent_but_first():
+                    return _ended(command, error, EXIT_ERROR)
 
 
-def _run(command: str, options: dict[str, Any]) -> int:
+def _run(command: str, options: dict[str, Any], tell: Tell) -> int:
     stop = StopRequest()
     try:
         with listening(f"cloudtomo {command}") as stop:
             status = COMMANDS[command].run(**options) or 0
         if stop.signal_number is None:
             return status
-        return _ended(command, "all was done when it was interrupted", exit_status(stop.signal_number))
+        return _ended(command, "all was done when it was interrupted", exit_status(stop.signal_number), tell)
     except Interrupted as interrupted:
-        return _ended(command, str(interrupted), interrupted.status)
+        return _ended(command, interrupted, interrupted.status, tell)
     except DeviceError as error:
         if stop.signal_number is None:
-            return _ended(command, str(error), EXIT_ERROR)
+            return _ended(command, error, EXIT_ERROR, tell)
         # Ctrl-C reaches a driver's compiler, too, which then fails.
-        return _ended(command, f"interrupted: {error}", exit_status(stop.signal_number))
+        return _ended(command, f"interrupted: {error}", exit_status(stop.signal_number), tell)
     except CloudtomoError as error:
-        return _ended(command, str(error), EXIT_ERROR)
+        return _ended(command, error, EXIT_ERROR, tell)
     except MemoryError as error:
-        return _ended(command, f"not enough memory ({error}): choose fewer pixels or voxels", EXIT_ERROR)
+        return _ended(command, f"not enough memory ({error}): choose fewer pixels or voxels", EXIT_ERROR, tell)
     except OSError as error:
         # A disk or a network drive that fails between the places that look for it.
-        return _ended(command, f"{error}: check the disk, permissions and the space left", EXIT_ERROR)
+        return _ended(command, f"{error}: check the disk, permissions and the space left", EXIT_ERROR, tell)
     except KeyboardInterrupt:
-        return _ended(command, "interrupted", EXIT_INTERRUPTED)
+        return _ended(command, "interrupted", EXIT_INTERRUPTED, tell)
 
 
 @contextmanager
@@ -143,9 +155,13 @@ def without_display() -> Iterator[None]:
             os.environ[name] = before
 
 
-def _ended(command: str, text: str, status: int) -> int:
+def _to_standard_error(text: str, _: BaseException | None) -> None:
+    print(text, file=sys.stderr)
+
+
+def _ended(command: str, reason: str | CloudtomoError, status: int, tell: Tell = _to_standard_error) -> int:
     """The status, with its reason on standard error."""
-    print(printable(f"cloudtomo {command}: {text}"), file=sys.stderr)
+    tell(printable(f"cloudtomo {command}: {reason}"), None if isinstance(reason, str) else reason)
     return status
 
 

@@ -6,11 +6,15 @@ import argparse
 
 HELP = "list the OpenCL devices"
 
-DESCRIPTION = "List the OpenCL devices."
+DESCRIPTION = """\
+List the OpenCL devices.
+
+Under MPI those that every rank sees, with a * at the one that it takes."""
 
 EXAMPLES = """\
-example:
-  cloudtomo devices"""
+examples:
+  cloudtomo devices
+  mpiexec -n 4 cloudtomo devices"""
 
 _HEADINGS = ("index", "platform", "name", "type", "compute units", "memory", "OpenCL version", "accumulation")
 _WIDE_TABLE = 160
@@ -25,16 +29,21 @@ def run() -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from cloudtomo_cl.opencl.device import list_devices
+    from cloudtomo_cl.commands import ranks
+    from cloudtomo_cl.opencl.device import chosen_index, list_devices
 
     console = Console(markup=False, emoji=False)
     if not console.is_terminal:
         # Lines for another program to read are not folded.
         console = Console(markup=False, emoji=False, width=_WIDE_TABLE)
-    table = Table(*_HEADINGS, box=None)
-    for device in list_devices():
+    own = ranks.current()
+    listed = own.together(lambda: (own.name, chosen_index(communicator=own), list_devices()))
+    table = Table(*_HEADINGS if own.size == 1 else ("rank", *_HEADINGS), box=None)
+    for name, chosen, device in [(name, chosen, one) for name, chosen, all_ in own.all(listed) for one in all_]:
+        row = [] if own.size == 1 else [name]
         table.add_row(
-            str(device.index),
+            *row,
+            f"{device.index}{' *' if row and device.index == chosen else ''}",
             device.platform,
             device.name,
             device.kind,

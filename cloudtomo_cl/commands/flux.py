@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cloudtomo_cl.commands import options
+from cloudtomo_cl.commands import options, ranks
 
 HELP = "compute fluxes and absorption"
 
@@ -41,7 +41,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(**given: Any) -> None:
     """Computes the fluxes of a scene file, or of the scene of a file of fluxes or images, column by column."""
+    ranks.on_devices(_run, given)
+
+
+def _run(**given: Any) -> None:
     from cloudtomo_cl.commands import fluxes
 
-    job = fluxes.prepare(fluxes.Request(**given))
-    fluxes.deliver(job, fluxes.execute(job))
+    job = ranks.current().in_turn(lambda: fluxes.prepare(fluxes.Request(**given)))
+    result = fluxes.execute(job)
+    ranks.first_alone(lambda: fluxes.deliver(job, result))

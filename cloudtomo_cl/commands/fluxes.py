@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from cloudtomo_cl.commands import progress, stopping
+from cloudtomo_cl.commands import progress, ranks, stopping
 from cloudtomo_cl.commands.provenance import describe_device, source, versions
 from cloudtomo_cl.errors import SettingsError
 from cloudtomo_cl.files.extinction import extinction_dataset
@@ -86,7 +86,7 @@ def prepare(request: Request) -> Job:
     stopping.check()
     return Job(
         request=request,
-        operator=FluxOperator(scene, choose_device(request.device), effective_radius=radius),
+        operator=FluxOperator(scene, choose_device(request.device, ranks.current()), effective_radius=radius),
         extinction=extinction,
         effective_radius=radius,
         photons=request.photons or made.get("photons", _DEFAULT_PHOTONS),
@@ -182,13 +182,17 @@ def _to_compute(path: Path, overrides: Sequence[str]) -> tuple[Scene, np.ndarray
     settings, scene, extinction = read.settings, read.scenes[0], read.extinctions[0]
     if "boundary" not in settings.model_fields_set and not can_be_open(scene):
         # As a scene of `init render`: fluxes have no other choice, and nobody has made one.
-        print(
+        _warn(
             f'cloudtomo flux: {path} has no [boundary]: horizontal = "periodic" is taken, for open sides over a '
-            "surface that reflects, or beside air, would need endlessly many photons",
-            file=sys.stderr,
+            "surface that reflects, or beside air, would need endlessly many photons"
         )
         scene = replace(scene, boundary=Boundary("periodic"))
     return scene, extinction, read.effective_radius, {"cloud_file": settings.cloud.file.name}
+
+
+def _warn(text: str) -> None:
+    if ranks.current().is_first:
+        print(text, file=sys.stderr)
 
 
 def _variables(fluxes: Fluxes) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloudtomo_cl.commands import stopping
+from cloudtomo_cl.commands import ranks, stopping
 from cloudtomo_cl.commands.provenance import describe_device, source, versions
 from cloudtomo_cl.commands.run_folder import RunFolder
 from cloudtomo_cl.files.measurements import write_measurements
@@ -37,25 +37,25 @@ def write_modelled(
     """
     operator = RadianceOperator(scene, measurements.views, device)
     samples = max(FEWEST_SAMPLES, 2 * round(PATHS / len(operator.pixels) / 2))
-    stopping.check()
+    ranks.check_together()
     rendering = operator.render(extinction, samples, seed, iteration, progress=stopping.check)
     modelled = Measurements.rendered(operator, rendering)
-    folder.claim(folder.modelled_file)
-    write_measurements(
-        folder.modelled_file,
-        modelled,
-        {
-            "title": "images of a recovered cloud",
-            "source": source(),
-            "device": describe_device(device),
-            "versions": versions(),
-        },
-        {
-            "scene": stored_scene(scene),
-            "cloud_file": folder.reconstruction_file.name,
-            "samples": samples,
-            "seed": seed,
-            "iteration": iteration,
-        },
-        (scene.grid, extinction, None),
-    )
+    attributes = {
+        "title": "images of a recovered cloud",
+        "source": source(),
+        "device": describe_device(device),
+        "versions": versions(),
+    }
+    settings = {
+        "scene": stored_scene(scene),
+        "cloud_file": folder.reconstruction_file.name,
+        "samples": samples,
+        "seed": seed,
+        "iteration": iteration,
+    }
+
+    def write() -> None:
+        folder.claim(folder.modelled_file)
+        write_measurements(folder.modelled_file, modelled, attributes, settings, (scene.grid, extinction, None))
+
+    ranks.first_alone(write)

@@ -11,7 +11,8 @@ def add_device(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--device",
         metavar="NAME",
-        help="index or part of a name in `cloudtomo devices` (default: CLOUDTOMO_DEVICE, or the first GPU, or a CPU)",
+        help="index or part of a name in `cloudtomo devices` (default: CLOUDTOMO_DEVICE, or the first GPU, or a CPU); "
+        "several, as 0,1, share the work",
     )
 
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cloudtomo_cl.commands import options
+from cloudtomo_cl.commands import options, ranks
 
 HELP = "recover a cloud from images"
 
@@ -60,11 +60,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(**given: Any) -> None:
     """Reconstructs after a run file into a run folder."""
+    ranks.on_devices(_run, given)
+
+
+def _run(**given: Any) -> None:
     from cloudtomo_cl.commands import reconstruction
     from cloudtomo_cl.files.netcdf import require_file
 
     request = reconstruction.Request(**given)
     require_file(request.run)
-    with request.folder.held():
-        job = reconstruction.prepare(request)
+    with ranks.held_by_first(request.folder.held):
+        job = ranks.current().in_turn(lambda: reconstruction.prepare(request))
         reconstruction.deliver(job, reconstruction.execute(job))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from cloudtomo_cl.commands import stopping
+from cloudtomo_cl.commands import ranks, stopping
 from cloudtomo_cl.commands.modelled import write_modelled
 from cloudtomo_cl.commands.progress import ReconstructionProgress, duration
 from cloudtomo_cl.commands.provenance import describe_device, digest, source, versions
@@ -135,17 +135,15 @@ def prepare(request: Request) -> Job:
     settings, measurements, stored = _read(request)
     folder = request.folder
     resumed = folder.read_checkpoint() if request.resume else None
-    if request.resume:
+    if ranks.current().is_first:
         # Without a checkpoint there is nothing that a resume could lose.
-        folder.check_own()
-    else:
-        folder.check_new()
+        (folder.check_own if request.resume else folder.check_new)()
     scene = settings.scene(stored.get("scene", {}))
     if scene.wavelength is None:
         scene = replace(scene, wavelength=measurements.wavelength)
     truth = None if settings.truth is None else read_truth(settings.truth.file, scene.grid, measurements.wavelength)
     check_views(scene, measurements.views)
-    device = choose_device(request.device)
+    device = choose_device(request.device, ranks.current())
     seed = settings.run.seed if request.seed is None else request.seed
     what = scene, measurements, settings.stage, settings.prior, settings.solver
     check(*what, device=device, seed=seed, truth=truth, resume=resumed)
@@ -223,13 +221,14 @@ def execute(job: Job) -> Outcome:
         # Of the device, or of the disk: both may be in order tomorrow.
         kept = job.folder.checkpoint_file
         if kept.is_file() and (job.folder.started or isinstance(error, DeviceError)):
-            again = job.request.resume_command
-            raise type(error)(f"{error}\nwhat was reached is kept in {kept}: {again}") from None
+            again = type(error)(f"{error}\nwhat was reached is kept in {kept}: {job.request.resume_command}")
+            vars(again).update(vars(error))
+            raise again from None
         raise
     finally:
         job.folder.close()
         stop.answer = "stopping"
-    return Outcome(result, stop.signal_number)
+    return Outcome(result, max(ranks.current().all(stop.signal_number or 0)) or None)
 
 
 def _say_what_begins(job: Job) -> None:
@@ -251,7 +250,7 @@ def _carve(job: Job) -> np.ndarray:
     """The voxels that the images leave room for."""
     job.say("building kernels, carving space ...")
     mask = carved_mask(job.scene, job.measurements, job.device, stopping.check)
-    stopping.check()
+    ranks.check_together()
     job.say(f"space carving keeps {mask.mean():.1%} of the voxels")
     return mask
 
@@ -280,15 +279,17 @@ def deliver(job: Job, outcome: Outcome) -> None:
     Interrupted : somebody asked to stop: the result is on the disk, and nothing else was begun
     """
     output = job.request.output
-    _write_result(job, outcome)
+    ranks.first_alone(lambda: _write_result(job, outcome))
     if outcome.signal_number is not None:
         text = f"interrupted in {outcome.where}; what was reached is in {output}: {job.request.resume_command}"
-        raise Interrupted(text, exit_status(outcome.signal_number))
+        raise ranks.interrupted(text, exit_status(outcome.signal_number))
     try:
         _show_result(job, outcome)
     except Interrupted as interrupted:
-        text = f"interrupted; the result is in {output}, and the rest is made by\n  cloudtomo report {output}"
-        raise Interrupted(text, interrupted.status) from None
+        interrupted.args = (
+            f"interrupted; the result is in {output}, and the rest is made by\n  cloudtomo report {output}",
+        )
+        raise
 
 
 def _show_result(job: Job, outcome: Outcome) -> None:
@@ -302,15 +303,15 @@ def _show_result(job: Job, outcome: Outcome) -> None:
     if not result.extinction.any():
         job.say("the images leave no cloud: take less noisy ones, or give the prior less weight ([prior])")
         return
-    stopping.check()
+    ranks.check_together()
     job.say("rendering the images of the recovered cloud ...")
     iteration = len(result.history) + 1
     measurements = replace(job.measurements, views=result.views)
     write_modelled(job.folder, job.scene, measurements, result.extinction, job.device, job.seed, iteration)
     if job.request.with_report:
-        stopping.check()
+        ranks.check_together()
         job.say(f"drawing figures and {job.folder.report_file} ...")
-        make_report(job.folder, quiet=True)
+        ranks.first_alone(lambda: make_report(job.folder, quiet=True))
     job.say(f"{_summary(result, job.truth)}  {output}")
 
 

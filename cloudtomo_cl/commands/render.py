@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cloudtomo_cl.commands import options
+from cloudtomo_cl.commands import options, ranks
 
 HELP = "compute images of a scene"
 
@@ -75,7 +75,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(**given: Any) -> None:
     """Renders a scene file, or images again, into a file of measurements."""
+    ranks.on_devices(_run, given)
+
+
+def _run(**given: Any) -> None:
     from cloudtomo_cl.commands import rendering
 
-    job = rendering.prepare(rendering.Request(**given))
-    rendering.deliver(job, rendering.execute(job))
+    job = ranks.current().in_turn(lambda: rendering.prepare(rendering.Request(**given)))
+    result = rendering.execute(job)
+    ranks.first_alone(lambda: rendering.deliver(job, result))

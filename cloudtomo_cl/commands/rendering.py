@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from cloudtomo_cl.commands import progress, stopping
+from cloudtomo_cl.commands import progress, ranks, stopping
 from cloudtomo_cl.commands.provenance import describe_device, source, versions
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.measurements import read_measurements, write_measurements
@@ -108,7 +108,7 @@ def prepare(request: Request) -> Job:
     if target_error is None:
         samples = samples or _DEFAULT_SAMPLES
     noise = None if made.get("noise") is None else noise_of_table(request.scene, made["noise"])
-    device = choose_device(request.device)
+    device = choose_device(request.device, ranks.current())
     return Job(
         request=request,
         operators=tuple(RadianceOperator(scene, seen, device, effective_radius=radius) for scene in scenes),

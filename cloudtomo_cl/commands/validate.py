@@ -6,9 +6,9 @@ import argparse
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from cloudtomo_cl.commands import options, stopping
+from cloudtomo_cl.commands import options, ranks
 from cloudtomo_cl.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -54,7 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_quiet(parser)
 
 
-def run(
+def run(**given: Any) -> int:
+    """Compares; returns the exit status."""
+    return ranks.on_devices(_run, given)
+
+
+def _run(
     data: Path | None,
     quick: bool,
     photons: int | None,
@@ -65,7 +70,6 @@ def run(
     quiet: bool,
     overwrite: bool,
 ) -> int:
-    """Compares; returns the exit status."""
     from rich.console import Console
 
     from cloudtomo_cl import validation
@@ -83,12 +87,12 @@ def run(
     if not cases:
         raise SettingsError(f"--only {only}: no case has this in its name; without --only the table lists them")
     number = photons or (validation.QUICK_PHOTONS if quick else validation.PHOTONS)
-    chosen = choose_device(device)
+    chosen = choose_device(device, ranks.current())
     console = Console(markup=False, emoji=False, quiet=quiet)
     rows: list[Row] = []
     start = time.perf_counter()
     for case in cases:
-        stopping.check()
+        ranks.check_together()
         began = time.perf_counter()
         rows += validation.run(case, chosen, number, seed, files)
         took = duration(time.perf_counter() - began)
@@ -101,12 +105,12 @@ def run(
     ]
     if files is None:
         notes.append("not compared: I3RC's columns and Landsat cloud, which need --data")
-    if output is not None:
+    if output is not None and ranks.current().is_first:
         with written_whole(output) as partial:
             partial.write_text(WRITERS[output.suffix](rows, notes), encoding="utf-8")
     if not quiet:
         print_table(rows, notes)
-    for row in failed:
+    for row in failed if ranks.current().is_first else ():
         print(f"cloudtomo validate: failed: {', '.join(cells(row))}", file=sys.stderr)
     return EXIT_FAILED if failed else 0
 

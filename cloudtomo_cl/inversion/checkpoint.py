@@ -24,6 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.whole import written_whole
 from cloudtomo_cl.inversion.stages import Stage
+from cloudtomo_cl.parallel.ranks import ALONE, Ranks
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
 
@@ -247,10 +248,17 @@ class Checkpoints:
     ----------
     target : a path, a function that takes a `Checkpoint`, or nothing
     interval : seconds between checkpoints; more, where writing one takes more than 5 % of it
+    ranks : of which the first decides and writes; what it writes does not follow from their number
     """
 
-    def __init__(self, target: str | os.PathLike[str] | Callable[[Checkpoint], None] | None, interval: float) -> None:
+    def __init__(
+        self,
+        target: str | os.PathLike[str] | Callable[[Checkpoint], None] | None,
+        interval: float,
+        ranks: Ranks = ALONE,
+    ) -> None:
         self._target = target
+        self._ranks = ranks
         self._interval = interval
         self._due = -np.inf
         self._last: tuple[int, int] | None = None
@@ -260,16 +268,21 @@ class Checkpoints:
         if self._target is None or self._last == (stage, iterations):
             return
         start = time.monotonic()
-        if not now and start < self._due:
+        if not now and not self._ranks.first(start >= self._due):
             return
         checkpoint = make()
-        if callable(self._target):
-            self._target(checkpoint)
-        else:
-            checkpoint.write(self._target)
+        self._ranks.together(lambda: self._hand_over(checkpoint))
         end = time.monotonic()
         self._due = end + max(self._interval, _LEAST_WORK * (end - start))
         self._last = (stage, iterations)
+
+    def _hand_over(self, checkpoint: Checkpoint) -> None:
+        if not self._ranks.is_first:
+            return
+        if callable(self._target):
+            self._target(checkpoint)
+        elif self._target is not None:
+            checkpoint.write(self._target)
 
 
 def rows(history: Sequence[Any]) -> list[dict[str, Any]]:

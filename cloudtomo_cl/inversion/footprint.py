@@ -20,7 +20,12 @@ _PRIOR_BYTES_PER_VOXEL, _HOST_BYTES_PER_VOXEL = 56, 40
 
 
 def stage_footprint(
-    scene: Scene, measurements: Measurements, stage: Stage, solver: Any = None, mask: np.ndarray | None = None
+    scene: Scene,
+    measurements: Measurements,
+    stage: Stage,
+    solver: Any = None,
+    mask: np.ndarray | None = None,
+    ranks: int = 1,
 ) -> Footprint:
     """What a stage takes at its largest.
 
@@ -28,6 +33,7 @@ def stage_footprint(
     ----------
     solver : whose method `footprint(pixels, voxels, longest)` says what it keeps
     mask : bool, on the scene's grid; without one all pixels and voxels count, and what solvers keep does not
+    ranks : that share the pixels: what one of them takes
 
     Raises
     ------
@@ -37,10 +43,10 @@ def stage_footprint(
     pixels = sum(image.size for image in measurements.images)
     what = f"a reconstruction with {shape_text(stage.grid)} voxels and {pixels} pixels"
     require_countable(max(voxels, finest), pixels, what)
-    needed = footprint(voxels, pixels, pixels * (stage.samples or 0))
+    needed = footprint(voxels, pixels, pixels * (stage.samples or 0) // ranks)
     needed += Footprint(_PRIOR_BYTES_PER_VOXEL * voxels, 8 * voxels, _HOST_BYTES_PER_VOXEL * (voxels + finest))
     if mask is not None and hasattr(solver, "footprint"):
         kept = coarsened(mask, stage.grid)
         active = active_pixels(measurements.at_share(stage.pixels), scene.grid.with_shape(stage.grid), kept)
-        needed += solver.footprint(len(active), int(kept.sum()), max(stage.grid))
+        needed += solver.footprint(-(-len(active) // ranks), int(kept.sum()), max(stage.grid))
     return needed

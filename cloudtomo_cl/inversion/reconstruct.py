@@ -6,6 +6,7 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from cloudtomo_cl.inversion.run import (
     TimeLimit,
     Watcher,
     guard_divergence,
+    require_same,
     settled,
 )
 from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
@@ -102,6 +104,9 @@ def reconstruct(
     prior : by default `PatchPrior()`; or an object of your own, see `Regulariser`
     solver : by default `GaussNewton()`; or `Adam`, `SGD`, or an object of your own, see `Solver`
     mask : bool on the scene's grid, where cloud may be; by default what carving leaves (`carve`), or the checkpoint's
+    device : by default `choose_device()`; one that was chosen with a communicator shares the work with its other ranks,
+        which all call this with the same arguments: history and result are on all, callback and checkpoint are the
+        first rank's, and one that asks to stop stops all
     time_limit : seconds after which the run ends with what it has, before an iteration that would take longer,
         if it is as long as the last one; those before a resume count
     truth : extinction in km^-1 on the scene's grid, for the history's errors only
@@ -124,18 +129,24 @@ def reconstruct(
     DeviceError : the device failed or has not enough memory
     """
     device, prior, solver = device or choose_device(), prior or PatchPrior(), solver or GaussNewton()
-    resumed = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
-    check(scene, measurements, stages, prior, solver, mask=mask, device=device, seed=seed, truth=truth, resume=resumed)
+    ranks = device.ranks
+
+    def checked() -> Checkpoint | None:
+        own = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
+        check(scene, measurements, stages, prior, solver, mask=mask, device=device, seed=seed, truth=truth, resume=own)
+        return own
+
+    resumed = ranks.together(checked)
     stages = stages_of(scene.grid, stages, solver)
     if mask is None:
         mask = carved_mask(scene, measurements, device) if resumed is None else resumed.mask
     question = _Question(scene, measurements, prior, checked_mask(mask, scene.grid), device)
-    check_memory(scene, measurements, stages, device, solver, question.mask)
+    ranks.together(lambda: check_memory(scene, measurements, stages, device, solver, question.mask))
     identity = identity_of(scene, measurements, stages, prior, solver, question.mask, truth, seed)
     run = Run(stages, question.mask) if resumed is None else Run.resumed(stages, question.mask, resumed)
-    keeper = KeepCheckpoints(Checkpoints(checkpoint, checkpoint_interval), identity, device.name)
-    limit, asked = TimeLimit(time_limit), StopRequested(stop)
-    watchers = (guard_divergence, KeepHistory(truth, callback), keeper)
+    keeper = KeepCheckpoints(Checkpoints(checkpoint, checkpoint_interval, ranks), identity, device.name)
+    limit, asked = TimeLimit(time_limit, ranks), StopRequested(stop, ranks)
+    watchers = (require_same, guard_divergence, KeepHistory(truth, callback), keeper)
     problem, state = _iterated(question, solver, run, resumed, watchers, keeper, (limit, asked), seed)
     error, absent = None, _no_standard_error(problem, solver, run, uncertainty, asked(run))
     if not absent:
@@ -167,7 +178,7 @@ def _iterated(
     while True:
         stage = run.stages[run.stage]
         _LOGGER.info("stage %d of %d: building its kernels", run.stage + 1, len(run.stages))
-        problem = replace(question.at(stage), motions=motions)
+        problem = replace(question.device.ranks.together(partial(question.at, stage)), motions=motions)
         _LOGGER.info("stage %d of %d: its first iteration", run.stage + 1, len(run.stages))
         state = solver.init(problem, resample_in_mask(estimate, problem.mask)[problem.mask])
         if resumed is not None:
@@ -295,5 +306,5 @@ def check_memory(
     for stage in stages:
         pixels = sum(image.size for image in measurements.images)
         what = f"a reconstruction with {shape_text(stage.grid)} voxels and {pixels} pixels"
-        needed: Footprint = stage_footprint(scene, measurements, stage, solver, mask)
+        needed: Footprint = stage_footprint(scene, measurements, stage, solver, mask, device.ranks.size)
         needed.require(device, what, "choose a coarser [grid] or [[stage]], or fewer samples or pixels")

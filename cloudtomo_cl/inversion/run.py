@@ -16,6 +16,7 @@ from cloudtomo_cl.inversion.records import IterationRecord
 from cloudtomo_cl.inversion.solvers.protocol import Progress
 from cloudtomo_cl.inversion.solvers.state import arrays_of
 from cloudtomo_cl.inversion.stages import Stage, has_settled
+from cloudtomo_cl.parallel.ranks import ALONE, Ranks
 from cloudtomo_cl.scene.grid import resample_in_mask
 from cloudtomo_cl.scene.metrics import delta, epsilon
 
@@ -84,6 +85,11 @@ class StoppingRule(Protocol):
     def __call__(self, run: Run) -> bool: ...
 
 
+def require_same(run: Run, problem: Problem, state: Any, progress: Progress) -> None:
+    """TransportError if ranks have come to different bits: they would soon wait for each other for ever."""
+    problem.operator.ranks.require_same(np.asarray(state.extinction), "the extinction")
+
+
 def guard_divergence(run: Run, problem: Problem, state: Any, progress: Progress) -> None:
     """Stops a solver that runs away, before a render of it takes for ever.
 
@@ -126,7 +132,7 @@ class KeepHistory:
             stages=len(run.stages),
             iteration=run.iteration,
             iterations=run.stages[run.stage].iterations,
-            seconds=run.seconds,
+            seconds=problem.operator.ranks.first(run.seconds),
             paths=run.paths + progress.paths,
             cost=progress.cost,
             cost_standard_error=progress.cost_standard_error,
@@ -135,7 +141,10 @@ class KeepHistory:
         )
         run.history.append(record)
         run.iteration += 1
-        if self.callback:
+        problem.operator.ranks.together(lambda: self._tell(record, problem))
+
+    def _tell(self, record: IterationRecord, problem: Problem) -> None:
+        if self.callback and problem.operator.ranks.is_first:
             self.callback(record)
 
 
@@ -179,12 +188,13 @@ class TimeLimit:
     """
 
     seconds: float | None
+    ranks: Ranks = ALONE
     reached: bool = False
 
     def __call__(self, run: Run) -> bool:
         times = [record.seconds for record in run.history[-2:]]
         last = times[1] - times[0] if len(times) > 1 else 0.0
-        if self.seconds is not None and run.seconds + last >= self.seconds:
+        if self.seconds is not None and self.ranks.first(run.seconds + last >= self.seconds):
             self.reached = True
         return self.reached
 
@@ -194,10 +204,11 @@ class StopRequested:
     """Ends a run that somebody asks to stop; once asked, it stays so."""
 
     asked: Callable[[], bool] | None
+    ranks: Ranks = ALONE
     stopped: bool = False
 
     def __call__(self, run: Run) -> bool:
-        self.stopped = self.stopped or (self.asked is not None and self.asked())
+        self.stopped = self.stopped or self.ranks.any(self.asked is not None and self.asked())
         return self.stopped
 
 

@@ -21,6 +21,7 @@ from cloudtomo_cl.errors import BuildError, DeviceError
 from cloudtomo_cl.opencl import kernel_cache
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.parameters import KERNELS, TURNS, Kernel
+from cloudtomo_cl.parallel.ranks import ALONE, Ranks
 
 ENVIRONMENT_VARIABLE = "CLOUDTOMO_DEVICE"
 WORK_GROUP_SIZE = 64
@@ -38,6 +39,8 @@ _FAULTS = {
     "llvmpipe": "it ends loops after 65,535 rounds and says nothing, so paths through thick clouds are cut short "
     "(no audit sees it), and it has crashed in gradients: choose another device for results",
 }
+# How many threads PoCL's device for CPUs has: of earlier and of later releases.
+_THREADS_OF_POCL = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
 _WIDE_ATOMICS_EXTENSION = "cl_khr_int64_base_atomics"
 _WIDE_ATOMICS, _NARROW_ATOMICS = "64-bit atomics", "32-bit atomics with carry"
 
@@ -221,12 +224,13 @@ class Device:
     regenerates : whether work items walk several paths, for they go in step
     calls : whether functions that are rarely called are no part of those that call them
     options : of its compiler
+    ranks : those that share what is computed here, each on a device of its own
     """
 
     @device_errors("opening the device")
-    def __init__(self, opencl_device: Any) -> None:
+    def __init__(self, opencl_device: Any, ranks: Ranks = ALONE) -> None:
         cl = _import_pyopencl()
-        self.opencl = opencl_device
+        self.opencl, self.ranks = opencl_device, ranks
         self.context = cl.Context([opencl_device])
         self.queue = cl.CommandQueue(self.context)
         self.name = opencl_device.name.strip()
@@ -314,7 +318,9 @@ class Device:
         """A buffer with a copy of an array, for kernels to read."""
         cl = _import_pyopencl()
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values))
+        # A buffer has at least one number.
+        held = values if values.size else np.zeros(1, values.dtype)
+        return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(held))
 
     def array(self, values: np.ndarray) -> DeviceArray:
         """A copy of an array, on the device."""
@@ -405,26 +411,77 @@ class Pace:
         self.work_items = int(min(max(wanted, self.work_items // 2), 2 * self.work_items, self.device.largest_launch))
 
 
-def choose_device(name: str | int | None = None) -> Device:
+def choose_device(name: str | int | None = None, communicator: Any = None) -> Device:
     """Opens a device.
 
     Parameters
     ----------
     name : an index of `list_devices`, or a part of a device's or platform's name; by default
-        the environment variable CLOUDTOMO_DEVICE, else the first device, GPUs before CPUs
+        the environment variable CLOUDTOMO_DEVICE, else the first device, GPUs before CPUs. Several, as "0,1", and
+        those that a part of a name fits, are dealt out among the ranks of a machine
+    communicator : of MPI, by mpi4py, for instance `MPI.COMM_WORLD`: its ranks share what is computed on the device
+        that each of them has opened, and all have the result, with the same bits as of one. Every rank must then do
+        the same things in the same order; by default each rank of a machine takes another GPU, where there are any
 
     Raises
     ------
     DeviceError : there is no such device
     """
+    ranks = _ranks_of(communicator)
     devices = _opencl_devices()
-    wanted = str(name) if name is not None else os.environ.get(ENVIRONMENT_VARIABLE, "0")
-    if wanted.isascii() and wanted.isdigit():
-        if int(wanted) < len(devices):
-            return Device(devices[int(wanted)])
-    else:
-        for device in devices:
-            if wanted.lower() in f"{device.platform.name} {device.name}".lower():
-                return Device(device)
+    return Device(devices[_chosen(devices, name, ranks)], ranks)
+
+
+@device_errors("listing the devices")
+def chosen_index(name: str | int | None = None, communicator: Any = None) -> int:
+    """The index of the device that `choose_device` opens on this rank. DeviceError as there."""
+    ranks = _ranks_of(communicator)
+    return _chosen(_opencl_devices(), name, ranks)
+
+
+def _chosen(devices: list[Any], name: str | int | None, ranks: Ranks) -> int:
+    numbers = named_devices(name)
+    if len(numbers) > 1 and ranks.size == 1:
+        raise DeviceError(f"device {','.join(numbers)!r} is several, and here one is wanted: in Python see on_devices")
+    wanted = ",".join(numbers)
+    found = _named(devices, numbers)
+    if found:
+        return devices.index(found[ranks.place % len(found)])
     listed = "; ".join(f"{index}: {device.name.strip()}" for index, device in enumerate(devices))
     raise DeviceError(f"no OpenCL device {wanted!r}; there are {listed} (choose an index or a part of a name)")
+
+
+def named_devices(name: str | int | None) -> list[str]:
+    """The indices in a name, or the one name that it is; without one what the environment names, or an empty one."""
+    wanted = str(name) if name is not None else os.environ.get(ENVIRONMENT_VARIABLE, "")
+    numbers = [number.strip() for number in wanted.split(",")]
+    return numbers if all(map(_is_index, numbers)) else [wanted]
+
+
+def _is_index(text: str) -> bool:
+    return text.isascii() and text.isdigit()
+
+
+def _named(devices: list[Any], names: list[str]) -> list[Any]:
+    """The devices that names stand for, of which ranks take one each; all of the first kind without a name."""
+    wanted = names[0]
+    if not wanted:
+        return [device for device in devices if _kind(device) == _kind(devices[0])]
+    if _is_index(wanted):
+        chosen = [int(number) for number in names]
+        return [devices[number] for number in chosen] if max(chosen) < len(devices) else []
+    return [device for device in devices if wanted.lower() in f"{device.platform.name} {device.name}".lower()]
+
+
+def _ranks_of(communicator: Any) -> Ranks:
+    """Those of a communicator; sees to it that those of one machine share its cores, before drivers count them."""
+    if communicator is None:
+        return ALONE
+    if not isinstance(communicator, Ranks):
+        from cloudtomo_cl.parallel.mpi import MPIRanks
+
+        communicator = MPIRanks(communicator)
+    if communicator.size > 1:
+        for variable in _THREADS_OF_POCL:
+            os.environ.setdefault(variable, str(communicator.cores))
+    return communicator

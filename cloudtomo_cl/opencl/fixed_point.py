@@ -6,6 +6,7 @@ import numpy as np
 
 from cloudtomo_cl.errors import TransportError
 from cloudtomo_cl.opencl.layout import LARGEST_SUM
+from cloudtomo_cl.parallel.ranks import Ranks
 
 
 def first_overflow(sums: np.ndarray) -> tuple[int, ...] | None:
@@ -32,3 +33,22 @@ def require_sums(sums: np.ndarray, what: str, axes: str) -> None:
             f"{place}: the optics are extreme (extinction near 0 where light scatters, a very sharp phase function), "
             "or the device is at fault; use fewer paths at a time, a larger solver.floor, or another device"
         )
+
+
+def summed(sums: np.ndarray, ranks: Ranks, what: str, axes: str) -> np.ndarray:
+    """What all ranks have added up together.
+
+    Parameters
+    ----------
+    sums : of this rank, int64
+    what, axes : as of `require_sums`
+
+    Raises
+    ------
+    TransportError : a sum has overflowed
+    """
+    ranks.together(lambda: require_sums(sums, what, axes))
+    if ranks.size > 1:
+        sums = ranks.sum(sums)
+        require_sums(sums, what, axes)
+    return sums

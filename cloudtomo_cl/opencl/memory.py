@@ -61,7 +61,8 @@ class Footprint:
                     f"{size_text(there)}: {advice}"
                 )
         # A CPU's memory is the machine's own.
-        require(self.host + (self.device if device.shares_memory else 0), what, advice)
+        own = self.host + (self.device if device.shares_memory else 0)
+        require(own * device.ranks.on_node, what, advice)
 
 
 def stored_on_device(device: Device, size: float) -> float:

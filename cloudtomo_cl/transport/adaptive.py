@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -95,8 +96,8 @@ def render_to_error(
             audits.append(more.audit)
             done[index] = more if before is None else pooled(before, more)
             finished += count * len(part.pixels)
-            if progress:
-                progress(finished / total)
+            if progress is not None:
+                operator.ranks.together(partial(progress, finished / total))
         budget -= total
         rendering = _assembled(
             [(chosen, part) for (_, chosen), part in zip(groups, done) if part is not None], audits, operator

@@ -10,7 +10,7 @@ import numpy as np
 
 from cloudtomo_cl.errors import AuditError
 from cloudtomo_cl.opencl.device import Device
-from cloudtomo_cl.opencl.fixed_point import require_sums
+from cloudtomo_cl.opencl.fixed_point import summed
 from cloudtomo_cl.opencl.layout import BUDGET_COPIES, TERMINATIONS, WEIGHT_UNIT
 
 # Each path's balance is rounded to single precision, a few hundred times in thick clouds.
@@ -107,6 +107,7 @@ class Budget:
 
     def __init__(self, device: Device) -> None:
         self.sums = device.zeros((BUDGET_COPIES, len(TERMINATIONS)), np.int64)
+        self._ranks = device.ranks
 
     @property
     def data(self) -> Any:
@@ -122,9 +123,9 @@ class Budget:
         ------
         TransportError : a sum has overflowed
         """
-        copies = self.sums.get()
-        require_sums(copies, "the budget of the paths' weights", "copy and termination")
-        sums = dict(zip(TERMINATIONS, copies.sum(axis=0, dtype=float) / WEIGHT_UNIT))
+        copies = summed(self.sums.get(), self._ranks, "the budget of the paths' weights", "copy and termination")
+        # Exact: the same bits however launches and ranks have dealt the paths out among the copies.
+        sums = dict(zip(TERMINATIONS, copies.astype(object).sum(axis=0).astype(float) / WEIGHT_UNIT))
         launched = sums["LAUNCHED"]
         shares = {name: float(value / max(launched, 1.0)) for name, value in sums.items()}
         removed = float(sums["TRUNCATED"])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.opencl.fixed_point import require_sums
+from cloudtomo_cl.opencl.fixed_point import summed
 from cloudtomo_cl.opencl.layout import TABLE_UNIT
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.transport.cells import Cells, most_cells
@@ -25,6 +25,10 @@ _MOST_ENTRIES = 2**31 - 1
 # cameras' paths hardly go from there to what shines on it. Each is worth so little of a crossing that it counts in
 # what is pooled with the neighbours: a voxel's own few are noise.
 _THIN, _PROBES, _WORTH = 1.0, 32, 0.1
+# Of the whole grid that are smoothed together.
+_BINS_AT_ONCE = 15
+# Whose sums become floating-point numbers of twice the table's size together.
+_CELLS_AT_ONCE = 1 << 12
 # After so many gradients the table is made anew, and what it held before fades.
 _FADING = 0.7
 _REFRESH = 4
@@ -152,8 +156,9 @@ class RadianceTable:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """All that a gradient changes, as arrays on the host."""
-        arrays = {"field": self._field, "scattered": self._scattered, "sunlight": self._sunlight}
+        arrays = {"scattered": self._scattered, "sunlight": self._sunlight}
         own = {"table": self._table.copy(), "gradients": np.array(self._gradients), "parts": self._cells.parts}
+        own["field"] = self._all_sums()
         return own | {name: array.get() for name, array in arrays.items()}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
@@ -162,8 +167,14 @@ class RadianceTable:
         self._table = state["table"].copy()
         self._allocate()
         self._gradients = int(state["gradients"])
-        for name, array in (("field", self._field), ("scattered", self._scattered), ("sunlight", self._sunlight)):
+        for name, array in (("scattered", self._scattered), ("sunlight", self._sunlight)):
             array.set(state[name])
+        if self._operator.ranks.is_first:  # what all ranks have brought
+            self._field.set(state["field"])
+
+    def _all_sums(self) -> np.ndarray:
+        """What paths of all ranks have brought since the table was made, int64, shape (cells, bins, 2)."""
+        return summed(self._field.get(), self._operator.ranks, "the radiance table", "cell, direction and kind")
 
     @property
     def buffers(self) -> dict[str, Any]:
@@ -178,16 +189,21 @@ class RadianceTable:
         total = operator.device.zeros(operator.scene.grid.shape, np.int64)
         largest = largest_adjoint(adjoint)
         shares = adjoint / largest if largest > 0 else np.zeros_like(adjoint)
-        factors = operator.device.constant((shares * FIXED_POINT_SCALE).astype(np.float32))
-        tangent = np.zeros(len(operator.pixels))
-        for launch in operator.stored_launches(rendering):
-            paths = operator.device.empty(launch.paths, np.float32)
-            launch.run(
-                self._gradient_paths, **self.buffers, adjoint=factors, change=change, gradient=total,
-                path_tangent=paths,
-            )  # fmt: skip
-            tangent += paths.get().reshape(-1, len(operator.pixels)).sum(axis=0, dtype=float)
-        require_sums(total.get(), "the gradient", "voxel")
+        factors = operator.device.constant((operator.shares.taken(shares) * FIXED_POINT_SCALE).astype(np.float32))
+
+        def walk() -> np.ndarray:
+            tangent = np.zeros(len(operator.shares))
+            for launch in operator.stored_launches(rendering):
+                paths = operator.device.empty(launch.paths, np.float32)
+                launch.run(
+                    self._gradient_paths, **self.buffers, adjoint=factors, change=change, gradient=total,
+                    path_tangent=paths,
+                )  # fmt: skip
+                tangent = _added_in_order(tangent, paths.get().reshape(-1, len(tangent)))
+            return tangent
+
+        tangent = operator.shares.gathered(operator.ranks.together(walk))
+        operator.make_total(total)
         irradiance = operator.scene.sun.irradiance
         unit = largest / FIXED_POINT_SCALE * irradiance / (rendering.samples // 2)
         with operator.device.lock:  # pyopencl's own kernels, too, are shared by threads
@@ -199,6 +215,7 @@ class RadianceTable:
         spacing, device = self._operator.scene.grid.spacing, self._operator.device
         extinction = rendering._medium.extinction.get()
         listed = np.flatnonzero(self._mask & (extinction * min(spacing) < _THIN)).astype(np.int32)
+        listed = np.ascontiguousarray(listed[self._operator.ranks.rank :: self._operator.ranks.size])
         if not len(listed):
             return
         device.launch(
@@ -209,11 +226,13 @@ class RadianceTable:
 
     def _refresh(self, rendering: Rendering) -> None:
         """Makes source and radiance anew from what paths have brought, at a rendering's extinction."""
-        self._probe(rendering)
+        self._operator.ranks.together(lambda: self._probe(rendering))
         self._table *= _FADING
-        field = self._field.get()
-        require_sums(field, "the radiance table", "cell, direction and kind")
-        self._table += field / np.float32(TABLE_UNIT)
+        brought = self._all_sums()
+        for first in range(0, len(brought), _CELLS_AT_ONCE):
+            part = slice(first, first + _CELLS_AT_ONCE)
+            self._table[part] += brought[part] / np.float32(TABLE_UNIT)
+        del brought
         self._operator.device.clear(self._field)
         self._divide(rendering)
         radiance = self._radiance()
@@ -232,11 +251,13 @@ class RadianceTable:
         cells, edge = self._cells, float(np.mean(self._operator.scene.grid.spacing))
         sums = cells.summed(self._table)
         everywhere = sums[..., 1].sum(axis=0) / np.maximum(sums[..., 0].sum(axis=0), 1e-30)
-        near = []
-        for kind in range(2):  # one after the other, for the sake of memory
-            full = np.zeros((*self._mask.shape, BINS), np.float32)
-            full[self._mask] = sums[..., kind]
-            near.append(_with_neighbours(full)[self._mask])
+        near = [np.empty(sums.shape[:-1], np.float32) for _ in range(2)]
+        for first in range(0, BINS, _BINS_AT_ONCE):  # some after the others, for the sake of memory
+            bins = slice(first, min(first + _BINS_AT_ONCE, BINS))
+            for kind, found in enumerate(near):
+                full = np.zeros((*self._mask.shape, bins.stop - first), np.float32)
+                full[self._mask] = sums[:, bins, kind]
+                found[:, bins] = _with_neighbours(full)[self._mask]
         least = _NEIGHBOUR_CROSSINGS * edge
         neighbours = (near[1] + least * everywhere) / (near[0] + least)
         radiance = _leaning(sums, neighbours, np.full(len(sums), edge))
@@ -249,6 +270,16 @@ class RadianceTable:
                 _leaning(self._table, radiance[cells.voxel], edges[cells.voxel]),
             )
         return radiance
+
+
+def _added_in_order(sums: np.ndarray, paths: np.ndarray) -> np.ndarray:
+    """Sums of shape (pixels,) and what paths add, shape (paths, pixels), one after the other.
+
+    So the bits follow neither from how launches are cut nor from which pixels are in them: NumPy would add a single
+    column in pairs.
+    """
+    rows = np.vstack([sums, paths])
+    return np.hstack([rows, rows]).sum(axis=0)[: len(sums)] if len(sums) == 1 else rows.sum(axis=0)
 
 
 def _leaning(sums: np.ndarray, others: np.ndarray, edge: np.ndarray) -> np.ndarray:

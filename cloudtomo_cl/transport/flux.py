@@ -10,12 +10,12 @@ import numpy as np
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.opencl.device import Device, Pace, choose_device, device_errors
-from cloudtomo_cl.opencl.fixed_point import require_sums
+from cloudtomo_cl.opencl.fixed_point import summed
 from cloudtomo_cl.opencl.layout import FLUXES, MOST_SAMPLES, WEIGHT_UNIT, sun_view_struct
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.seeds import checked_seed
 from cloudtomo_cl.transport.audit import Audit, Budget
-from cloudtomo_cl.transport.medium import Medium
+from cloudtomo_cl.transport.medium import FilledMedium, Medium
 
 # Standard errors are from the spread of so many independent parts of a run.
 _BATCHES = 32
@@ -152,32 +152,8 @@ class FluxOperator:
         if _BATCHES * samples > MOST_SAMPLES:
             most = MOST_SAMPLES // _BATCHES * _BATCHES * self._pixels
             raise DataError(f"photons is {photons:.6g}: this scene has at most {most:.6g}")
-        shape = (len(FLUXES), *self.scene.grid.shape[:2])
         budget = Budget(self.device)
-        batches = np.empty((_BATCHES, *shape))
-        for batch in range(_BATCHES):
-            columns = self.device.zeros(shape, np.int64)
-            done = 0
-            while done < samples:
-                number = int(np.clip(self._pace.work_items // self._pixels, 1, samples - done))
-                self._pace.launch(
-                    self._trace_photons,
-                    number * self._pixels,
-                    **field.arguments,
-                    sun_view=self._sun_view,
-                    pixel_count=self._pixels,
-                    first_sample=batch * samples + done,
-                    photon_count=number * self._pixels,
-                    seed=seed,
-                    columns=columns,
-                    budget=budget.data,
-                )
-                done += number
-                if progress:
-                    progress((batch * samples + done) * self._pixels)
-            weights = columns.get()
-            require_sums(weights, "a flux", "kind and column")
-            batches[batch] = weights / WEIGHT_UNIT
+        batches = self._traced(field, samples, seed, budget, progress)
         launched = _BATCHES * samples * self._pixels
         audit = budget.audit()
         audit.check(launched)
@@ -187,3 +163,44 @@ class FluxOperator:
         batches *= incident * self._area / column_area / (samples * self._pixels)
         named = {name.lower(): _estimate(batches[:, index]) for index, name in enumerate(FLUXES)}
         return Fluxes(**named, incident=incident, photons=launched, seed=seed, audit=audit, _batches=batches)
+
+    def _traced(
+        self, medium: FilledMedium, samples: int, seed: int, budget: Budget, progress: Callable[[int], None] | None
+    ) -> np.ndarray:
+        """Weights that photons have left in the columns, shape (batches, kinds, nx, ny).
+
+        samples : of every pixel of the sun's view in each batch
+        """
+        ranks = self.device.ranks
+        # Samples are numbered through all batches, and every rank has a range of them.
+        own = ranks.part(_BATCHES * samples)
+
+        def trace() -> np.ndarray:
+            batches = np.zeros((_BATCHES, len(FLUXES), *self.scene.grid.shape[:2]), np.int64)
+            for batch in range(own.start // samples, -(-own.stop // samples)):
+                begin, end = max(own.start, batch * samples), min(own.stop, (batch + 1) * samples)
+                columns = self.device.zeros(batches.shape[1:], np.int64)
+                while begin < end:
+                    number = int(np.clip(self._pace.work_items // self._pixels, 1, end - begin))
+                    self._pace.launch(
+                        self._trace_photons,
+                        number * self._pixels,
+                        **medium.arguments,
+                        sun_view=self._sun_view,
+                        pixel_count=self._pixels,
+                        first_sample=begin,
+                        photon_count=number * self._pixels,
+                        seed=seed,
+                        columns=columns,
+                        budget=budget.data,
+                    )
+                    begin += number
+                    if progress:
+                        progress((begin - own.start) * _BATCHES * samples // len(own) * self._pixels)
+                batches[batch] = columns.get()
+            return batches
+
+        sums = summed(ranks.together(trace), ranks, "a flux", "batch, kind and column")
+        for batch in sums:
+            batch.view(float)[...] = batch / WEIGHT_UNIT
+        return sums.view(float)

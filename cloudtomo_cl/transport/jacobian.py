@@ -1,4 +1,7 @@
-"""Derivatives of pixels with respect to voxels: a sparse near field, a far field by blocks, and products with both."""
+"""Derivatives of pixels with respect to voxels: a sparse near field, a far field by blocks, and products with both.
+
+Of several ranks each makes the rows of its pixels, and products with the columns of its voxels (by_voxel.py).
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, device_errors
 from cloudtomo_cl.opencl.layout import DERIVATIVE_UNIT, TILE_WIDTH
 from cloudtomo_cl.opencl.memory import Footprint
+from cloudtomo_cl.transport.by_voxel import ByVoxel, by_voxel
 from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.near_field import Blocks, pixel_blocks, tiles_of, voxel_blocks
 from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering
@@ -34,7 +38,11 @@ class NearField:
     Attributes
     ----------
     pixels, voxels : numbers of rows and columns
+    shares : which rank has which pixels: what follows is of this one's
+    rows : number of its pixels
     entries : of the near field
+    row_blocks : its pixel blocks
+    by_voxel : the entries by columns
     """
 
     @device_errors("the structure of the derivatives")
@@ -43,12 +51,14 @@ class NearField:
         self.device, self.column = operator.device, column
         self.scene_struct = operator.scene_struct
         self.pixels, self.voxels = len(operator.pixels), int(operator.mask.sum())
-        tiles = tiles_of(operator.views, operator.pixels, operator.scene, operator.mask)
+        self.shares = operator.shares
+        self.rows = len(self.shares)
+        tiles = tiles_of(operator.views, self.shares.taken(operator.pixels), operator.scene, operator.mask)
         slots = tiles["slabs"].astype(np.int64) * TILE_WIDTH**2
         self.slot_start_on_host = np.concatenate([[0], np.cumsum(slots)])
         if self.slot_start_on_host[-1] > _MOST_ENTRIES:
             raise DataError(
-                f"the near field of {self.pixels} pixels and {self.voxels} voxels has more entries than kernels count: "
+                f"the near field of {self.rows} pixels and {self.voxels} voxels has more entries than kernels count: "
                 "choose fewer pixels or a coarser grid"
             )
         constant = self.device.constant
@@ -56,40 +66,28 @@ class NearField:
         self.slot_start = constant(self.slot_start_on_host.astype(np.uint32))
         self.pixel_blocks = pixel_blocks(operator.views, operator.pixels)
         self.voxel_blocks = voxel_blocks(operator.mask, len(self.pixel_blocks))
-        self.pixel_block = constant(self.pixel_blocks.of.astype(np.uint32))
+        # Blocks are dealt out whole.
+        self.row_blocks, row_block = np.unique(self.shares.taken(self.pixel_blocks.of), return_inverse=True)
+        self.pixel_block = constant(row_block.astype(np.uint32))
         self.block = constant(self.voxel_blocks.of)
         places = np.zeros((self.voxels, 4), np.uint16)
         places[:, :3] = np.argwhere(operator.mask)
         self.place = constant(places)
-        counts = self.device.zeros(self.pixels, np.uint32)
-        self._launch("near_count", self.pixels, counts=counts)
-        row_start = np.concatenate([[0], np.cumsum(counts.get(), dtype=np.int64)])
+        counts = self.device.zeros(max(self.rows, 1), np.uint32)
+        self._launch("near_count", counts=counts)
+        row_start = np.concatenate([[0], np.cumsum(counts.get()[: self.rows], dtype=np.int64)])
         self.entries = int(row_start[-1])
         self.row_start = constant(row_start.astype(np.uint32))
         self.columns = self.device.empty(max(self.entries, 1), np.int32)
-        self._launch("near_fill", self.pixels, row_start=self.row_start, columns=self.columns)
-        self._transpose(row_start)
+        self._launch("near_fill", row_start=self.row_start, columns=self.columns)
+        self.by_voxel: ByVoxel = by_voxel(self, row_start, self.columns.get()[: self.entries])
 
-    def _launch(self, name: str, work_items: int, **arguments: Any) -> None:
-        kernel = self.device.kernel("near_field", name)
-        self.device.launch(
-            kernel, work_items, scene=self.scene_struct, tiles=self.tiles, column=self.column, pixel_count=self.pixels,
-            **arguments,
-        )  # fmt: skip
-
-    def _transpose(self, row_start: np.ndarray) -> None:
-        """The entries of every column, in the order of their rows."""
-        import scipy.sparse
-
-        shape = (self.pixels, self.voxels)
-        columns = self.columns.get()[: self.entries]
-        by_row = scipy.sparse.csr_matrix((np.arange(self.entries, dtype=np.uint32), columns, row_start), shape)
-        by_column = by_row.tocsc()
-        constant = self.device.constant
-        self.column_start = constant(by_column.indptr.astype(np.uint32))
-        # A buffer has at least one number.
-        self.column_entries = constant(np.append(by_column.data, np.uint32(0)))
-        self.column_rows = constant(np.append(by_column.indices.astype(np.uint32), np.uint32(0)))
+    def _launch(self, name: str, **arguments: Any) -> None:
+        if self.rows:
+            self.device.launch(
+                self.device.kernel("near_field", name), self.rows, scene=self.scene_struct, tiles=self.tiles,
+                column=self.column, pixel_count=self.rows, **arguments,
+            )  # fmt: skip
 
 
 def jacobian_footprint(pixels: int, voxels: int, longest: int) -> Footprint:
@@ -111,12 +109,16 @@ class Jacobian(LinearOperator):
     Parameters
     ----------
     structure : which entries there are
-    near, far : their values on the device, float32
+    near, far : their values on the device, float32; of this rank's pixels, by rows
+    by_voxel : the same of this rank's voxels, by columns
     """
 
-    def __init__(self, structure: NearField, near: DeviceArray, far: DeviceArray) -> None:
+    def __init__(
+        self, structure: NearField, near: DeviceArray, far: DeviceArray, by_voxel: tuple[DeviceArray, DeviceArray]
+    ) -> None:
         super().__init__(np.dtype(np.float32), (structure.pixels, structure.voxels))
         self._structure, self._near, self._far = structure, near, far
+        self._near_by_voxel, self._far_by_voxel = by_voxel
         self._buffers: dict[Any, Any] = {}
 
     def _matvec(self, x: np.ndarray) -> np.ndarray:
@@ -142,64 +144,62 @@ class Jacobian(LinearOperator):
         -------
         shape (voxels,), float64
         """
-        own = self._structure
+        own = self._structure.by_voxel
         far, given, result = self._far_transposed(np.asarray(weights, np.float32)[:, None], squares=True)
         self._launch(
-            1, "jacobian_curvature", own.voxels, **self._by_column, pixel_block=own.pixel_block,
-            block_count=len(own.voxel_blocks), far=self._far, of_blocks=far, y=given, result=result,
+            1, "jacobian_curvature", len(own.shares), **self._by_column, pixel_block=own.pixel_block,
+            block_count=len(own.blocks), far=self._far_by_voxel, of_blocks=far, y=given, result=result,
         )  # fmt: skip
-        return result.get()[:, 0].astype(float)
+        return own.shares.gathered(result.get()[: len(own.shares)])[:, 0].astype(float)
 
     @device_errors("a product with the derivatives")
     def _times(self, x: np.ndarray) -> np.ndarray:
         """J x for vectors, shape (voxels, vectors)."""
         own, vectors = self._structure, x.shape[1]
         given, sums, far, result = self._arrays(
-            vectors, own.voxels, len(own.voxel_blocks), len(own.pixel_blocks), own.pixels
+            vectors, own.voxels, len(own.voxel_blocks), len(own.row_blocks), own.rows
         )
         given.set(np.ascontiguousarray(x))
-        blocks, pixel_blocks = own.voxel_blocks, own.pixel_blocks
+        blocks, rows = own.voxel_blocks, len(own.row_blocks)
         self._sum_members(vectors, "voxels", blocks, given, sums)
-        counts = {"pixel_block_count": len(pixel_blocks), "block_count": len(blocks)}
-        self._launch(vectors, "far_times", len(pixel_blocks), **counts, far=self._far, x=sums, result=far)
+        counts = {"pixel_block_count": rows, "block_count": len(blocks)}
+        self._launch(vectors, "far_times", rows, **counts, far=self._far, x=sums, result=far)
         self._launch(
-            vectors, "jacobian_times", own.pixels, pixel_count=own.pixels, row_start=own.row_start,
+            vectors, "jacobian_times", own.rows, pixel_count=own.rows, row_start=own.row_start,
             columns=own.columns, values=self._near, pixel_block=own.pixel_block, of_blocks=far, x=given, result=result,
         )  # fmt: skip
-        return result.get()
+        return own.shares.gathered(result.get()[: own.rows])
 
     @device_errors("a product with the derivatives")
     def _transposed(self, y: np.ndarray) -> np.ndarray:
         """J^T y for vectors, shape (pixels, vectors)."""
-        vectors = y.shape[1]
+        vectors, own = y.shape[1], self._structure.by_voxel
         far, given, result = self._far_transposed(y, squares=False)
         self._launch(
-            vectors, "jacobian_transposed", self._structure.voxels, **self._by_column, of_blocks=far, y=given,
-            result=result,
-        )  # fmt: skip
-        return result.get()
+            vectors, "jacobian_transposed", len(own.shares), **self._by_column, of_blocks=far, y=given, result=result
+        )
+        return own.shares.gathered(result.get()[: len(own.shares)])
 
     def _far_transposed(self, y: np.ndarray, squares: bool) -> tuple[DeviceArray, DeviceArray, DeviceArray]:
-        """The far field's part, y on the device, and where the result is to go."""
+        """The far field's part, y on the device, and where the result is to go; of this rank's voxels."""
         own, vectors = self._structure, y.shape[1]
-        given, sums, far, result = self._arrays(
-            vectors, own.pixels, len(own.pixel_blocks), len(own.voxel_blocks), own.voxels
-        )
+        blocks, voxels = len(own.by_voxel.blocks), len(own.by_voxel.shares)
+        given, sums, far, result = self._arrays(vectors, own.pixels, len(own.pixel_blocks), blocks, voxels)
         given.set(np.ascontiguousarray(y))
         self._sum_members(vectors, "pixels", own.pixel_blocks, given, sums)
         self._launch(
-            vectors, "far_transposed", len(own.voxel_blocks), pixel_block_count=len(own.pixel_blocks),
-            block_count=len(own.voxel_blocks), far=self._far, squares=squares, y=sums, result=far,
+            vectors, "far_transposed", blocks, pixel_block_count=len(own.pixel_blocks), block_count=blocks,
+            far=self._far_by_voxel, squares=squares, y=sums, result=far,
         )  # fmt: skip
         return far, given, result
 
     @property
     def _by_column(self) -> dict[str, Any]:
         """The near field as kernels take it that go through its columns."""
-        own = self._structure
+        own = self._structure.by_voxel
         return {
-            "voxel_count": own.voxels, "column_start": own.column_start, "entries": own.column_entries,
-            "rows": own.column_rows, "values": self._near, "block": own.block,
+            "voxel_count": len(own.shares), "column_start": own.start, "entries": own.entries, "rows": own.rows,
+            "values": self._near_by_voxel, "block": own.block,
         }  # fmt: skip
 
     def _sum_members(self, vectors: int, name: str, blocks: Blocks, given: DeviceArray, result: DeviceArray) -> None:
@@ -215,13 +215,14 @@ class Jacobian(LinearOperator):
         key = (vectors, *lengths)
         if key not in self._buffers:
             device = self._structure.device
-            self._buffers[key] = [device.empty((length, vectors), np.float32) for length in lengths]
+            self._buffers[key] = [device.empty((max(length, 1), vectors), np.float32) for length in lengths]
         return self._buffers[key]
 
     def _launch(self, vectors: int, name: str, work_items: int, **arguments: Any) -> None:
         device: Device = self._structure.device
         features = ("NUMBERS float",) if vectors == 1 else (f"NUMBERS float{_VECTORS}",)
-        device.launch(device.kernel("products", name, features), work_items, **arguments)
+        if work_items:
+            device.launch(device.kernel("products", name, features), work_items, **arguments)
 
 
 def _by_columns(product: Any, columns: np.ndarray) -> np.ndarray:
@@ -246,21 +247,23 @@ class JacobianSums:
     @device_errors("the derivatives")
     def __init__(self, operator: RadianceOperator) -> None:
         self._operator = operator
-        self._table = RadianceTable(operator)
+        self._table = operator.ranks.together(lambda: RadianceTable(operator))
         self.structure = NearField(operator, self._table.column)
         device, own = operator.device, self.structure
         self._near = device.zeros(max(own.entries, 1), np.float32)
-        self._far = device.zeros((len(own.pixel_blocks), len(own.voxel_blocks)), np.float32)
+        self._far = device.zeros((max(len(own.row_blocks), 1), len(own.voxel_blocks)), np.float32)
+        self._by_voxel = own.by_voxel.arrays(self._near, self._far)
         self._far_sums = device.zeros(self._far.shape, np.int64)
         constant = operator.device.constant
         self._sizes = {
-            "block_pixels": constant(own.pixel_blocks.sizes), "block_voxels": constant(own.voxel_blocks.sizes)
-        }  # fmt: skip
+            "block_pixels": constant(own.pixel_blocks.sizes[own.row_blocks]),
+            "block_voxels": constant(own.voxel_blocks.sizes),
+        }
 
     @property
     def jacobian(self) -> Jacobian:
         """The average so far."""
-        return Jacobian(self.structure, self._near, self._far)
+        return Jacobian(self.structure, self._near, self._far, self._by_voxel)
 
     @device_errors("the derivatives")
     def add(self, rendering: Rendering, rate: float) -> None:
@@ -271,6 +274,11 @@ class JacobianSums:
         AuditError, TransportError : as `RadianceOperator.gradient`
         """
         self._table.prepare(rendering)
+        self._operator.ranks.together(lambda: self._add_rows(rendering, rate))
+        self.structure.by_voxel.refresh(self._near, self._far, self._by_voxel)
+
+    def _add_rows(self, rendering: Rendering, rate: float) -> None:
+        """The rows of this rank's pixels."""
         own, operator = self.structure, self._operator
         unit = operator.scene.sun.irradiance / rendering.samples * rate / DERIVATIVE_UNIT
         overflown = operator.device.zeros(1, np.uint32)
@@ -287,7 +295,7 @@ class JacobianSums:
             )  # fmt: skip
         operator.device.launch(
             operator.device.kernel("near_field", "average_far"), self._far.size,
-            pixel_block_count=len(own.pixel_blocks), block_count=len(own.voxel_blocks), far_sums=self._far_sums,
+            pixel_block_count=len(own.row_blocks), block_count=len(own.voxel_blocks), far_sums=self._far_sums,
             **self._sizes, keep=1 - rate, unit=unit, far=self._far, overflown=overflown,
         )  # fmt: skip
         if overflown.get()[0]:
@@ -309,9 +317,10 @@ class JacobianSums:
     def _rows(self) -> list[tuple[int, int]]:
         """Pixels whose sums are made at a time: the first, and how many."""
         start, parts, first = self.structure.slot_start_on_host, [], 0
-        while first < self.structure.pixels:
-            last = int(np.searchsorted(start, start[first] + _SLOTS_AT_ONCE, side="right")) - 1
-            last = min(max(last, first + 1), self.structure.pixels)
+        most = _SLOTS_AT_ONCE // self._operator.ranks.size
+        while first < self.structure.rows:
+            last = int(np.searchsorted(start, start[first] + most, side="right")) - 1
+            last = min(max(last, first + 1), self.structure.rows)
             parts.append((first, last - first))
             first = last
         return parts

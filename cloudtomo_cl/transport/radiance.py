@@ -12,10 +12,12 @@ import numpy as np
 from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.files.measurements import measurements_dataset
 from cloudtomo_cl.memory import require_countable, shape_text, voxels_of
+from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, Pace, choose_device, device_errors
-from cloudtomo_cl.opencl.fixed_point import require_sums
+from cloudtomo_cl.opencl.fixed_point import summed
 from cloudtomo_cl.opencl.layout import MOST_SAMPLES, STRUCTS, ray_array, view_structs
 from cloudtomo_cl.opencl.memory import Footprint
+from cloudtomo_cl.parallel.ranks import Ranks, Shares
 from cloudtomo_cl.renamed import renamed_arguments, renamed_attributes
 from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.measurements import Measurements
@@ -26,6 +28,7 @@ from cloudtomo_cl.scene.sensors import View
 from cloudtomo_cl.transport.audit import Audit, Budget, check_replays
 from cloudtomo_cl.transport.in_parts import BYTES_OF_LIST, kept, on_device, pixels_at_once, render_in_parts
 from cloudtomo_cl.transport.medium import FilledMedium, Medium
+from cloudtomo_cl.transport.near_field import pixel_blocks
 from cloudtomo_cl.transport.virtual_collisions import VirtualCollisions
 
 Estimator = Literal["side-flights", "plain"]
@@ -71,7 +74,7 @@ class Rendering:
     stream: int
     audit: Audit
     _medium: FilledMedium = field(repr=False)
-    _launches: list[tuple[int, Any]] = field(repr=False, default_factory=list)
+    _launches: list[tuple[int, Any]] | None = field(repr=False, default=None)
     _operator: Any = field(repr=False, default=None)
 
     def to_dataset(self) -> Any:
@@ -180,7 +183,6 @@ class RadianceOperator:
         self.estimator: Estimator = estimator or ("side-flights" if scene.cloud.phase_function.g >= 0.5 else "plain")
         if pixels is None:
             _require_memory(self.device, scene.grid.shape, sum(voxels_of(view.pixels) for view in self.views))
-        self.pixels = all_pixels(self.views) if pixels is None else np.ascontiguousarray(pixels, np.uint32)
         self._medium = Medium(
             scene, self.device, effective_radius, self.estimator == "side-flights", truncation or np.inf, mask
         )
@@ -190,7 +192,7 @@ class RadianceOperator:
         self.scene_struct = self._medium.struct
         self._views = self.device.constant(view_structs(self.views, scene.grid, scene.top))
         self._rays = self.device.constant(ray_array(self.views, scene))
-        self._pixels = self.device.constant(self.pixels)
+        self._take(all_pixels(self.views) if pixels is None else pixels)
         self._render_paths = self.device.kernel("image", "render_paths", self._medium.features)
         self._sum_paths = self.device.kernel("image", "sum_paths", self._medium.features)
         self._virtual_collisions = VirtualCollisions(self.device, self._medium.features)
@@ -226,7 +228,7 @@ class RadianceOperator:
         TransportError : a radiance is not finite
         AuditError : energy was lost or gained (see `Audit.check`)
         """
-        at_once = pixels_at_once(self.device, voxels_of(self.scene.grid.shape), len(self.pixels))
+        at_once = min(self.ranks.all(pixels_at_once(self.device, voxels_of(self.scene.grid.shape), len(self.pixels))))
         if at_once < len(self.pixels) and not store_paths:
             options = {"seed": seed, "stream": stream, "first_sample": first_sample}
             return render_in_parts(self, at_once, extinction, samples, progress, **options)
@@ -237,13 +239,31 @@ class RadianceOperator:
             raise DataError(f"first_sample is {first_sample}: it must be even and at least 0")
         if first_sample + samples > MOST_SAMPLES:
             raise DataError(f"{first_sample + samples} paths per pixel are more than the {MOST_SAMPLES} that there are")
-        count = len(self.pixels)
-        medium = self._medium.filled(extinction, skips_empty=not store_paths)
-        size = count * STRUCTS["PixelSums"].itemsize
-        sums = self.device.buffer(size)
-        self.device.clear(sums)
+        medium = self.ranks.together(lambda: self._medium.filled(extinction, skips_empty=not store_paths))
         budget = Budget(self.device)
+        sums, launches = self.ranks.together(
+            lambda: self._walk(medium, samples, first_sample, (seed, stream), budget, store_paths, progress)
+        )
+        return self._rendering(self._shares.gathered(sums), samples, seed, stream, budget, medium, launches)
+
+    def _walk(
+        self,
+        medium: FilledMedium,
+        samples: int,
+        first_sample: int,
+        key: tuple[int, int],
+        budget: Budget,
+        store_paths: bool,
+        progress: Callable[[int], None] | None,
+    ) -> tuple[np.ndarray, list[tuple[int, Any]] | None]:
+        """The sums of this rank's pixels, and the paths that are kept, by launches."""
+        count = len(self._shares)
+        host = np.empty(count, STRUCTS["PixelSums"])
         launches: list[tuple[int, Any]] = []
+        if not count:
+            return host, launches if store_paths else None
+        sums = self.device.buffer(host.nbytes)
+        self.device.clear(sums)
         done = 0
         while done < samples:
             first, number = first_sample + done, int(np.clip(self._pace.work_items // count, 1, samples - done))
@@ -251,7 +271,7 @@ class RadianceOperator:
             self._pace.launch(
                 self._render_paths,
                 number * count,
-                **self._arguments(medium, first, number * count, seed, stream),
+                **self._arguments(medium, first, number * count, *key),
                 path_radiance=paths,
                 budget=budget.data,
             )
@@ -262,7 +282,8 @@ class RadianceOperator:
             done += number
             if progress:
                 progress(done)
-        return self._rendering(sums, samples, seed, stream, budget, medium, launches)
+        self.device.read(sums, host)
+        return host, launches if store_paths else None
 
     @device_errors("putting the extinction on the device")
     def on_device(self, extinction: Any) -> FilledMedium:
@@ -275,8 +296,7 @@ class RadianceOperator:
     def of_pixels(self, pixels: np.ndarray) -> RadianceOperator:
         """The same operator for other pixels; see the class."""
         other = copy.copy(self)
-        other.pixels = np.ascontiguousarray(pixels, np.uint32)
-        other._pixels = self.device.constant(other.pixels)
+        other._take(pixels)
         return other
 
     def of_views(self, views: Sequence[View]) -> RadianceOperator:
@@ -287,13 +307,30 @@ class RadianceOperator:
         other._rays = self.device.constant(ray_array(other.views, self.scene))
         return other
 
+    def _take(self, pixels: np.ndarray) -> None:
+        """Takes pixels, and deals them out among the ranks in blocks, of which Jacobians have sums (near_field.py)."""
+        self.pixels = np.ascontiguousarray(pixels, np.uint32)
+        alone = self.ranks.size == 1
+        self._shares = self.ranks.dealt(self.pixels if alone else pixel_blocks(self.views, self.pixels).of)
+        self._pixels = self.device.constant(self._shares.taken(self.pixels))
+
+    @property
+    def ranks(self) -> Ranks:
+        """Those that share the pixels' paths."""
+        return self.device.ranks
+
+    @property
+    def shares(self) -> Shares:
+        """Which rank has which of the pixels."""
+        return self._shares
+
     def _arguments(self, medium: FilledMedium, first: int, paths: int, seed: int, stream: int) -> dict[str, Any]:
         """What every kernel that walks the pixels' paths takes, by name."""
         return medium.arguments | {
             "views": self._views,
             "rays": self._rays,
             "pixels": self._pixels,
-            "pixel_count": len(self.pixels),
+            "pixel_count": len(self._shares),
             "first_sample": first,
             "path_count": paths,
             "seed": seed,
@@ -302,16 +339,14 @@ class RadianceOperator:
 
     def _rendering(
         self,
-        sums: Any,
+        host: np.ndarray,
         samples: int,
         seed: int,
         stream: int,
         budget: Budget,
         medium: FilledMedium,
-        launches: list[tuple[int, Any]],
+        launches: list[tuple[int, Any]] | None,
     ) -> Rendering:
-        host = np.empty(len(self.pixels), STRUCTS["PixelSums"])
-        self.device.read(sums, host)
         irradiance = self.scene.sun.irradiance
         halves = irradiance * (host["half_sum"].astype(float) + host["half_low"]) / (samples // 2)
         mean = halves.mean(axis=1)
@@ -352,7 +387,7 @@ class RadianceOperator:
         AuditError : paths bring other radiances than before
         TransportError : a voxel's sum has overflowed
         """
-        if not rendering._launches:
+        if rendering._launches is None:
             raise DataError("this rendering kept no paths: render with store_paths=True")
         if adjoint.shape != (len(self.pixels), 2):
             raise DataError(f"adjoint has shape {adjoint.shape}, not ({len(self.pixels)}, 2)")
@@ -361,24 +396,36 @@ class RadianceOperator:
         total = self.device.zeros(self.scene.grid.shape, np.int64)
         largest = largest_adjoint(adjoint)
         if largest > 0:
-            factors = self.device.constant((adjoint / largest * FIXED_POINT_SCALE).astype(np.float32))
-            virtual = self._virtual_collisions.extinction(self, rendering, filling_limit)
-            for launch in self.stored_launches(rendering):
-                self._virtual_collisions.run(launch, adjoint=factors, virtual_extinction=virtual, gradient=total)
-            require_sums(total.get(), "the gradient", "voxel")
+            self.ranks.together(lambda: self._replay(rendering, adjoint / largest, filling_limit, total))
+            self.make_total(total)
         scale = largest / FIXED_POINT_SCALE * self.scene.sun.irradiance / (rendering.samples // 2)
         with self.device.lock:  # pyopencl's own kernels, too, are shared by threads
             return total.astype(np.float32) * np.float32(scale)
 
+    def make_total(self, sums: DeviceArray) -> None:
+        """Makes a gradient's sums those of all ranks, on the device of each. TransportError if one has overflowed."""
+        total = summed(sums.get(), self.ranks, "the gradient", "voxel")
+        if self.ranks.size > 1:
+            sums.set(total)
+
+    def _replay(
+        self, rendering: Rendering, shares: np.ndarray, filling_limit: float | None, total: DeviceArray
+    ) -> None:
+        """Adds what this rank's paths deposit; `shares` are the adjoint's of the largest, (pixels, 2)."""
+        factors = self.device.constant((self._shares.taken(shares) * FIXED_POINT_SCALE).astype(np.float32))
+        virtual = self._virtual_collisions.extinction(self, rendering, filling_limit)
+        for launch in self.stored_launches(rendering):
+            self._virtual_collisions.run(launch, adjoint=factors, virtual_extinction=virtual, gradient=total)
+
     def stored_launches(self, rendering: Rendering) -> Iterator[StoredLaunch]:
-        """The launches of a rendering that kept its paths, for kernels to walk them again.
+        """The launches of a rendering that kept its paths, for kernels to walk them again: those of this rank.
 
         Raises
         ------
         DataError : the rendering did not keep its paths
         AuditError : after the last of them, if paths have brought other radiances than before
         """
-        if not rendering._launches:
+        if rendering._launches is None:
             raise DataError("this rendering kept no paths: render with store_paths=True")
         astray = self.device.zeros(1, np.uint32)
         for first, stored_paths in rendering._launches:
@@ -387,7 +434,7 @@ class RadianceOperator:
                 rendering._medium, first, paths.size, rendering.seed, rendering.stream
             )
             stored = {"path_radiance": paths, "astray": astray}
-            yield StoredLaunch(paths.size, paths.size // len(self.pixels), self._pace, walk, stored)
+            yield StoredLaunch(paths.size, paths.size // len(self._shares), self._pace, walk, stored)
         check_replays(int(astray.get()[0]), rendering.samples * len(self.pixels))
 
     def images(self, values: np.ndarray) -> list[np.ndarray]:

@@ -82,6 +82,8 @@ class VirtualCollisions:
         chosen = operator.of_pixels(operator.pixels[evenly])
         paths = len(evenly) * -(-_PATHS // len(evenly))
         given = chosen._arguments(rendering._medium, 0, paths, rendering.seed, rendering.stream)
+        # They are few: every rank walks all of them.
+        given |= {"pixels": self._device.constant(chosen.pixels), "pixel_count": len(chosen.pixels)}
         lengths = self._device.zeros(operator.scene.grid.shape, np.int64)
         unit = 1.0 / (_UNIT * min(operator.scene.grid.spacing))
         self._device.launch(self._path_lengths, paths, **given, unit=unit, lengths=lengths)

@@ -12,8 +12,8 @@ import pytest
 TOP = Path(__file__).parents[2]
 # Lower rooms first: nothing imports from a higher one, also where it is for types alone.
 ROOMS = (
-    "errors", "renamed", "messages", "memory", "scene", "reference", "opencl", "files", "transport", "clouds",
-    "inversion", "validation", "settings", "report", "commands",
+    "errors", "renamed", "messages", "memory", "parallel", "scene", "reference", "opencl", "files", "transport",
+    "clouds", "inversion", "validation", "settings", "report", "commands",
 )  # fmt: skip
 # Packages that only some files know.
 KNOWN_BY = {
@@ -24,6 +24,7 @@ KNOWN_BY = {
     "netCDF4": ("files/*", "commands/run_folder.py"),
     "psutil": ("memory.py", "files/whole.py"),
     "miepython": ("clouds/mie.py",),
+    "mpi4py": ("parallel/mpi.py",),
 }
 LINES_OF_FILE, LINES_OF_FUNCTION, CONDITIONALS_OF_WALK = 500, 60, 7
 # What is longer, how long it may be, and why.

@@ -12,6 +12,7 @@ from cloudtomo_cl import memory
 from cloudtomo_cl.errors import DataError, DeviceError
 from cloudtomo_cl.files.extinction import read_extinction
 from cloudtomo_cl.inversion.reconstruct import check_memory
+from cloudtomo_cl.parallel.ranks import ALONE
 from cloudtomo_cl.transport.radiance import footprint
 
 GRID = ct.Grid(shape=(4, 4, 4), spacing=(0.1, 0.1, 0.1))
@@ -27,6 +28,7 @@ class SmallDevice:
 
     name = "small"
     shares_memory = False
+    ranks = ALONE
 
     def __init__(self, total, largest):
         self.opencl = type("Info", (), {"global_mem_size": total, "max_mem_alloc_size": largest})

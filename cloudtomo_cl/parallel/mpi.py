@@ -1,0 +1,122 @@
+"""Ranks under MPI, by mpi4py."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from cloudtomo_cl.parallel.ranks import Ranks
+
+# Numbers that one call adds up: libraries count with 32 bits.
+_AT_ONCE = 1 << 28
+_POLL_SECONDS = 0.01
+
+
+def world() -> tuple[Any, str]:
+    """The communicator of all processes, and the name of the library."""
+    return MPI.COMM_WORLD, MPI.Get_library_version().split(",")[0].split("\n")[0].strip()
+
+
+class MPIRanks(Ranks):
+    """The ranks of an mpi4py communicator, which is duplicated: messages of others do not mix with these."""
+
+    def __init__(self, communicator: Any) -> None:
+        self._communicator = communicator.Dup()
+        self.rank, self.size = communicator.Get_rank(), communicator.Get_size()
+        node = communicator.Split_type(MPI.COMM_TYPE_SHARED)
+        self.place, self.on_node = node.Get_rank(), node.Get_size()
+        sharing = node.allgather(_allowed_cores())
+        self._sharing = sharing.count(sharing[self.place])
+        node.Free()
+        self.host = MPI.Get_processor_name()
+
+    @property
+    def name(self) -> str:
+        return f"{super().name} ({self.host})"
+
+    @property
+    def cores(self) -> int:
+        return max(super().cores // self._sharing, 1)
+
+    def all(self, value: Any) -> list[Any]:
+        return self._communicator.allgather(value)
+
+    def first(self, value: Any) -> Any:
+        return self._communicator.bcast(value)
+
+    def any(self, flag: bool) -> bool:
+        given, found = np.array([flag], np.int32), np.empty(1, np.int32)
+        self._communicator.Allreduce(given, found, MPI.MAX)
+        return bool(found[0])
+
+    def _added(self, values: np.ndarray) -> np.ndarray:
+        result = np.require(values, np.int64, ["C", "W"])
+        flat = result.reshape(-1)
+        for begin in range(0, flat.size, _AT_ONCE):
+            self._communicator.Allreduce(MPI.IN_PLACE, flat[begin : begin + _AT_ONCE], MPI.SUM)
+        self.sent += values.nbytes
+        return result
+
+    def joined(self, rows: np.ndarray, counts: Sequence[int]) -> np.ndarray:
+        result = np.empty((sum(counts), *rows.shape[1:]), rows.dtype)
+        with _RowType(rows) as row:
+            self._communicator.Allgatherv([_bytes(rows), len(rows), row], [_bytes(result), _places(counts), row])
+        self.sent += rows.nbytes
+        return result
+
+    def exchange(self, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
+        counts = [len(part) for part in parts]
+        found = self._communicator.alltoall(counts)
+        given = np.concatenate(parts)
+        result = np.empty((sum(found), *given.shape[1:]), given.dtype)
+        with _RowType(given) as row:
+            self._communicator.Alltoallv(
+                [_bytes(given), _places(counts), row], [_bytes(result), _places(found), row]
+            )  # fmt: skip
+        self.sent += given.nbytes - parts[self.rank].nbytes
+        return np.split(result, np.cumsum(found)[:-1])
+
+    def ended(self, status: int, grace: float) -> None:
+        # Not by a plain barrier: one that waits in it takes a whole core, which the first rank may need for a report.
+        waiting, since = self._communicator.Ibarrier(), time.monotonic()
+        while not waiting.Test():
+            if status and time.monotonic() - since > grace:
+                sys.stderr.flush()
+                MPI.COMM_WORLD.Abort(status)
+            time.sleep(_POLL_SECONDS)
+        MPI.Finalize()
+
+
+class _RowType:
+    """MPI's type of a row of an array: numbers of rows are smaller than numbers of bytes, which may need 64 bits."""
+
+    def __init__(self, rows: np.ndarray) -> None:
+        self._type = MPI.BYTE.Create_contiguous(rows.dtype.itemsize * int(np.prod(rows.shape[1:]))).Commit()
+
+    def __enter__(self) -> Any:
+        return self._type
+
+    def __exit__(self, *_: object) -> None:
+        self._type.Free()
+
+
+def _bytes(rows: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(rows).reshape(-1).view(np.uint8)
+
+
+def _places(counts: Sequence[int]) -> tuple[list[int], list[int]]:
+    """Counts, and where each part begins."""
+    return list(counts), [0, *np.cumsum(counts)[:-1].tolist()]
+
+
+def _allowed_cores() -> tuple[int, ...]:
+    try:
+        return tuple(sorted(os.sched_getaffinity(0)))
+    except AttributeError:  # macOS, Windows
+        return ()

@@ -1,0 +1,138 @@
+"""A Jacobian by columns: where one rank's pixels have all, an index into the rows; else every rank has its voxels'.
+
+A product with the transpose adds up, for every voxel, what all pixels bring, in the order of the pixels. Ranks that
+have the rows of some pixels each would have to add their parts, and the bits would follow from their number. So every
+rank has the columns of some voxels, whole, too: values change places once in an iteration, and products exchange no
+more than vectors.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from cloudtomo_cl.opencl.arrays import DeviceArray
+from cloudtomo_cl.parallel.ranks import Shares
+
+if TYPE_CHECKING:
+    from cloudtomo_cl.transport.jacobian import NearField
+
+
+# In which the far field changes hands.
+_PARTS = 8
+
+
+class ByVoxel(Protocol):
+    """The entries of a near field by columns, of this rank's voxels, as kernels take them.
+
+    Attributes
+    ----------
+    shares : which rank has which voxels
+    blocks : this rank's voxel blocks
+    block : of its voxels, among these, on the device
+    pixel_block : of every pixel, on the device
+    start, entries, rows : of the columns: where they begin, the entries' places among values, and their pixels
+    """
+
+    shares: Shares
+    blocks: np.ndarray
+    block: Any
+    pixel_block: Any
+    start: Any
+    entries: Any
+    rows: Any
+
+    def arrays(self, near: DeviceArray, far: DeviceArray) -> tuple[DeviceArray, DeviceArray]:
+        """What holds the values of the near and far field by columns, given those by rows."""
+        ...
+
+    def refresh(self, near: DeviceArray, far: DeviceArray, arrays: tuple[DeviceArray, DeviceArray]) -> None:
+        """Takes values over that have changed by rows."""
+        ...
+
+
+def by_voxel(structure: NearField, row_start: np.ndarray, columns: np.ndarray) -> ByVoxel:
+    """That of rows which are a rank's: where they begin, and their entries' columns."""
+    if structure.shares.ranks.size == 1:
+        return _Index(structure, row_start, columns)
+    return _Exchanged(structure, row_start, columns)
+
+
+class _Index:
+    """One rank has all rows: its columns are an index into them."""
+
+    def __init__(self, structure: NearField, row_start: np.ndarray, columns: np.ndarray) -> None:
+        import scipy.sparse
+
+        shape = (structure.pixels, structure.voxels)
+        by_row = scipy.sparse.csr_matrix((np.arange(len(columns), dtype=np.uint32), columns, row_start), shape)
+        by_column = by_row.tocsc()
+        self.shares = structure.shares.ranks.dealt(structure.voxel_blocks.of)
+        self.blocks = np.arange(len(structure.voxel_blocks))
+        self.block, self.pixel_block = structure.block, structure.pixel_block
+        constant = structure.device.constant
+        self.start = constant(by_column.indptr.astype(np.uint32))
+        self.entries = constant(by_column.data)
+        self.rows = constant(by_column.indices.astype(np.uint32))
+
+    def arrays(self, near: DeviceArray, far: DeviceArray) -> tuple[DeviceArray, DeviceArray]:
+        return near, far
+
+    def refresh(self, near: DeviceArray, far: DeviceArray, arrays: tuple[DeviceArray, DeviceArray]) -> None:
+        """Nothing: the values are the rows'."""
+
+
+class _Exchanged:
+    """Several ranks: each has the columns of its voxels, whose values the ranks of the pixels send."""
+
+    def __init__(self, structure: NearField, row_start: np.ndarray, columns: np.ndarray) -> None:
+        self._ranks, self._device = structure.shares.ranks, structure.device
+        self.shares = self._ranks.dealt(structure.voxel_blocks.of)
+        assert self.shares.owner is not None
+        self.blocks, block = np.unique(self.shares.taken(structure.voxel_blocks.of), return_inverse=True)
+        constant = self._device.constant
+        self.block = constant(block.astype(np.int32))
+        self.pixel_block = constant(structure.pixel_blocks.of.astype(np.uint32))
+        # In the order of pixels and slots, for every rank: so all have it.
+        owner = self.shares.owner[columns]
+        self._order = np.argsort(owner, kind="stable").astype(np.uint32)
+        self._cuts = np.cumsum(np.bincount(owner, minlength=self._ranks.size))[:-1]
+        rows = np.repeat(structure.shares.own.astype(np.int32), np.diff(row_start))
+        column, row = self._exchanged(columns), self._exchanged(rows)
+        del owner, rows
+        self._place = np.lexsort((row, column)).astype(np.uint32)
+        counts = np.bincount(column, minlength=structure.voxels)[self.shares.own]
+        del column
+        self.start = constant(np.concatenate([[0], np.cumsum(counts)]).astype(np.uint32))
+        self.entries = constant(np.arange(len(row), dtype=np.uint32))
+        self.rows = constant(row[self._place].astype(np.uint32))
+        self._pixel_blocks = len(structure.pixel_blocks)
+        self._rows_of = self._ranks.all(structure.row_blocks)
+        self._blocks_of = self._ranks.all(self.blocks)
+
+    def _exchanged(self, values: np.ndarray) -> np.ndarray:
+        """What belongs to the entries of this rank's columns, from what belongs to those of its rows."""
+        return np.concatenate(self._ranks.exchange(np.split(values[self._order], self._cuts)))
+
+    def arrays(self, near: DeviceArray, far: DeviceArray) -> tuple[DeviceArray, DeviceArray]:
+        shape = (self._pixel_blocks, max(len(self.blocks), 1))
+        return self._device.zeros(max(len(self._place), 1), np.float32), self._device.zeros(shape, np.float32)
+
+    def refresh(self, near: DeviceArray, far: DeviceArray, arrays: tuple[DeviceArray, DeviceArray]) -> None:
+        values = self._exchanged(near.get()[: len(self._order)])
+        if len(values):
+            arrays[0].set(values[self._place])
+        del values
+        own = far.get()
+        whole = np.empty((self._pixel_blocks, len(self.blocks)), np.float32)
+        # So many rows at a time that what is on its way is small beside what stays.
+        at_once = max(max(map(len, self._rows_of)) // _PARTS, 1)
+        for first in range(0, max(map(len, self._rows_of)), at_once):
+            rows_of = [rows[first : first + at_once] for rows in self._rows_of]
+            some = own[first : first + len(rows_of[self._ranks.rank])]
+            parts = self._ranks.exchange([some[:, blocks].reshape(-1) for blocks in self._blocks_of])
+            for rows, part in zip(rows_of, parts):
+                whole[rows] = part.reshape(len(rows), len(self.blocks))
+        if len(self.blocks):
+            arrays[1].set(whole)
