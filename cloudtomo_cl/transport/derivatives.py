@@ -27,7 +27,7 @@ _MOST_ENTRIES = 2**31 - 1
 _THIN, _PROBES, _WORTH = 1.0, 32, 0.1
 # Of the whole grid that are smoothed together.
 _BINS_AT_ONCE = 15
-# Whose sums become floating-point numbers of twice the table's size together.
+# Whose numbers are worked on together, for the sake of memory.
 _CELLS_AT_ONCE = 1 << 12
 # After so many gradients the table is made anew, and what it held before fades.
 _FADING = 0.7
@@ -229,6 +229,7 @@ class RadianceTable:
         self._operator.ranks.together(lambda: self._probe(rendering))
         self._table *= _FADING
         brought = self._all_sums()
+        # Places that are worked on together are few: arrays on the way would be larger than the table.
         for first in range(0, len(brought), _CELLS_AT_ONCE):
             part = slice(first, first + _CELLS_AT_ONCE)
             self._table[part] += brought[part] / np.float32(TABLE_UNIT)
@@ -293,12 +294,17 @@ def _leaning(sums: np.ndarray, others: np.ndarray, edge: np.ndarray) -> np.ndarr
     """
     length, brought = sums[..., 0], sums[..., 1]
     # A place's own brightness, which others need not have.
-    expected, found = (length * others).sum(axis=1), brought.sum(axis=1)
+    parts = [slice(first, first + _CELLS_AT_ONCE) for first in range(0, len(sums), _CELLS_AT_ONCE)]
+    expected = np.concatenate([(length[part] * others[part]).sum(axis=1) for part in parts])
+    found = brought.sum(axis=1)
     lit = expected[expected > 0]
     level = 0.3 * np.median(lit) if len(lit) else 1.0
     ratio = np.clip((found + level) / (expected + level), 0.05, 10.0)[:, None]
     own = (_OWN_CROSSINGS * edge)[:, None]
-    return (brought + own * ratio * others) / (length + own)
+    radiance = np.empty(length.shape)
+    for part in parts:
+        radiance[part] = (brought[part] + own[part] * ratio[part] * others[part]) / (length[part] + own[part])
+    return radiance
 
 
 def _with_neighbours(values: np.ndarray) -> np.ndarray:

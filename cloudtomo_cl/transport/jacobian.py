@@ -253,7 +253,6 @@ class JacobianSums:
         self._near = device.zeros(max(own.entries, 1), np.float32)
         self._far = device.zeros((max(len(own.row_blocks), 1), len(own.voxel_blocks)), np.float32)
         self._by_voxel = own.by_voxel.arrays(self._near, self._far)
-        self._far_sums = device.zeros(self._far.shape, np.int64)
         constant = operator.device.constant
         self._sizes = {
             "block_pixels": constant(own.pixel_blocks.sizes[own.row_blocks]),
@@ -282,11 +281,11 @@ class JacobianSums:
         own, operator = self.structure, self._operator
         unit = operator.scene.sun.irradiance / rendering.samples * rate / DERIVATIVE_UNIT
         overflown = operator.device.zeros(1, np.uint32)
-        self._far_sums.fill(0)
+        far_sums = operator.device.zeros(self._far.shape, np.int64)
         for first, count in self._rows():
             slots = int(own.slot_start_on_host[first + count] - own.slot_start_on_host[first])
             sums = operator.device.zeros(max(slots, 1), np.int64)
-            self._add_paths(rendering, first, count, sums)
+            self._add_paths(rendering, first, count, sums, far_sums)
             operator.device.launch(
                 operator.device.kernel("near_field", "average_near"), count, scene=own.scene_struct, column=own.column,
                 tiles=own.tiles, slot_start=own.slot_start, first_pixel=first, row_count=count,
@@ -295,7 +294,7 @@ class JacobianSums:
             )  # fmt: skip
         operator.device.launch(
             operator.device.kernel("near_field", "average_far"), self._far.size,
-            pixel_block_count=len(own.row_blocks), block_count=len(own.voxel_blocks), far_sums=self._far_sums,
+            pixel_block_count=len(own.row_blocks), block_count=len(own.voxel_blocks), far_sums=far_sums,
             **self._sizes, keep=1 - rate, unit=unit, far=self._far, overflown=overflown,
         )  # fmt: skip
         if overflown.get()[0]:
@@ -304,14 +303,16 @@ class JacobianSums:
                 "the optics are extreme, or the device is at fault; use fewer paths at a time, or another device"
             )
 
-    def _add_paths(self, rendering: Rendering, first: int, count: int, sums: DeviceArray) -> None:
+    def _add_paths(
+        self, rendering: Rendering, first: int, count: int, near_sums: DeviceArray, far_sums: DeviceArray
+    ) -> None:
         own = self.structure
         kernel = self._operator.device.kernel("jacobian", "jacobian_paths", self._table.features)
         for launch in self._operator.stored_launches(rendering):
             launch.run_rows(
                 kernel, count, **self._table.buffers, tiles=own.tiles, slot_start=own.slot_start, first_pixel=first,
                 row_count=count, place=own.place, block=own.block, pixel_block=own.pixel_block,
-                block_count=len(own.voxel_blocks), near_sums=sums, far_sums=self._far_sums,
+                block_count=len(own.voxel_blocks), near_sums=near_sums, far_sums=far_sums,
             )  # fmt: skip
 
     def _rows(self) -> list[tuple[int, int]]:
