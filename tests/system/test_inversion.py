@@ -9,6 +9,7 @@ import cloudtomo_cl as ct
 from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.inversion.reconstruct import check
 from cloudtomo_cl.inversion.run import Run
+from cloudtomo_cl.inversion.uncertainty import WIDENED
 
 STAGES = (
     ct.Stage(grid=(4, 4, 4), pixels=0.5, samples=32, iterations=4),
@@ -171,10 +172,10 @@ def test_noisier_images_give_larger_standard_errors(problem, device):
     assert np.sqrt(np.mean(noisy[truth > 0] ** 2)) > 1.3 * np.sqrt(np.mean(fine[truth > 0] ** 2)) > 0
 
 
-def test_standard_errors_lie_between_scatter_and_error(problem, device):
-    """Of five recoveries from images with other noise, pooled over the voxels that hold cloud: no less, but for 20 %
-    (the scatter of five is known to 15 %, less where voxels vary together), for what the prior leaves open comes on
-    top of it; and no more than the error against the truth, which has the priors' bias, too."""
+def test_standard_errors_are_no_less_than_scatter_and_about_the_error(problem, device):
+    """Of five recoveries from images with other noise, pooled over the voxels that hold cloud. Here, where noise rules
+    and the mask is the cloud itself, the error is near the scatter, and the factor that whole recoveries need for their
+    bias makes the stated ones too large: by less than that factor."""
     scene, _, truth = problem
     views = problem[1].views
     operator = ct.RadianceOperator(scene, views, device)
@@ -189,7 +190,7 @@ def test_standard_errors_lie_between_scatter_and_error(problem, device):
     said = np.sqrt(np.mean(np.square(stated)[:, truth > 0]))
     error = np.sqrt(np.mean((np.array(found) - truth)[:, truth > 0] ** 2))
     print(f"scatter {scatter:.2f}, stated {said:.2f}, error {error:.2f} km^-1")
-    assert 0.8 * scatter < said < error
+    assert scatter < said < WIDENED * error
 
 
 ABSENT = {

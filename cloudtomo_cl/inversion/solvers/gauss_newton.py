@@ -20,7 +20,7 @@ from cloudtomo_cl.inversion.relative_prior import mean_extinction
 from cloudtomo_cl.inversion.solvers.blas import with_one_blas_thread
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
 from cloudtomo_cl.inversion.solvers.state import not_saved, of_any_length
-from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, standard_errors
+from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, WIDENED, standard_errors
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import Count
@@ -203,7 +203,7 @@ class GaussNewton:
 
     @with_one_blas_thread
     def standard_error(self, problem: Problem, state: GaussNewtonState, draws: int, seed: int) -> np.ndarray | None:
-        """Of the estimate, by so many draws from the last linear model, km^-1, shape (voxels,).
+        """Of the estimate, by so many draws from the last linear model, widened, km^-1, shape (voxels,).
 
         None if the images' noise is not known, or before the first iteration.
         """
@@ -222,7 +222,7 @@ class GaussNewton:
         def noise(random: np.random.Generator) -> np.ndarray:
             return calibration.drawn(random, image) + deviation * random.standard_normal(len(image))
 
-        return standard_errors(
+        return WIDENED * standard_errors(
             jacobian,
             problem.weights,
             noise,
