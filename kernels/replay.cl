@@ -45,7 +45,7 @@ inline void deposit_crossing(const Tally *tally, int index, float length, float 
 
 /* The n-th virtual collision replaces the one that is kept with probability 1 / n: each is kept as likely. */
 RARE_FUNCTION void meet_virtual_droplet(const Medium *medium, const Ray *from, const VoxelWalk *walk, float distance,
-                                 const Payload *payload, Tally *tally)
+                                        const Payload *payload, Tally *tally)
 {
     const uint n = ++tally->virtual_collisions;
     const float2 u = uniforms(&tally->key, n).xy;

@@ -42,7 +42,10 @@ def found(*names: str) -> Any:
     for info in pkgutil.walk_packages(ct.__path__, "cloudtomo_cl."):
         if info.name.endswith(("__main__", ".kernels")):
             continue
-        module = importlib.import_module(info.name)
+        try:
+            module = importlib.import_module(info.name)
+        except ModuleNotFoundError:  # what is not installed (MPI) holds no class that is looked for
+            continue
         for name in names:
             candidate = vars(module).get(name)
             if candidate is not None and getattr(candidate, "__module__", "") == info.name:

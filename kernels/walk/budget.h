@@ -19,8 +19,8 @@
 #include "walk/add_fixed_point.h"
 typedef volatile __local Accumulator *BudgetSums; /* [Termination] */
 #define add_to_budget add_units_in_group
-#define GROUP_BUDGET(name, sums)                                                                                       \
-    __local Accumulator name[TERMINATIONS];                                                                            \
+#define GROUP_BUDGET(name, sums) \
+    __local Accumulator name[TERMINATIONS]; \
     clear_group_budget(name)
 
 inline void clear_group_budget(volatile __local Accumulator *group)
@@ -52,7 +52,7 @@ typedef struct {
     volatile float surface;  /* weight, by the surface */
     volatile float killed;   /* less the weight that survived roulettes have given */
     volatile float killed_variance;
-    volatile float truncated;            /* radiance, sr^-1 */
+    volatile float truncated; /* radiance, sr^-1 */
     BudgetSums sums;
 } Budget;
 

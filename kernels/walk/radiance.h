@@ -64,8 +64,8 @@ RARE_FUNCTION void side_flight(const Medium *medium, const Interaction *at, floa
     const float2 w = uniforms(key, block + 1u).xy;
     float albedo;
     const Particle end = choose_particle(medium, flight.droplets, flight.air, flight.index, v.y, w.y, &albedo);
-    const float weight = at->throughput * albedo * share
-                         * scatter_density(medium, end, ray.direction, sun_direction(medium->scene));
+    const float weight =
+        at->throughput * albedo * share * scatter_density(medium, end, ray.direction, sun_direction(medium->scene));
     const LocalEstimate estimate = local_estimate(medium, &ray, weight, LOCAL_ESTIMATE_ROULETTE, w.x);
     tally_side_flight(medium, &segment, &flight, end, share, estimate.radiance, tally);
     tally_shadow_ray(medium, &ray, &estimate, tally);

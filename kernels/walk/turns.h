@@ -19,8 +19,8 @@ typedef struct {
     uint item;
 } Turns;
 
-#define TURNS(name, end)                                                                                               \
-    __local uint name##_taken;                                                                                         \
+#define TURNS(name, end) \
+    __local uint name##_taken; \
     Turns name = group_turns(&name##_taken, turns, end)
 
 inline Turns group_turns(volatile __local uint *taken, uint turns, uint end)
