@@ -132,13 +132,15 @@ class Medium:
             if extinction.skips_zeros and not skips_empty:
                 raise DataError("gradients need clear voxels, which this field skips: give the extinction itself")
             return extinction
+        if not self.device.is_array(extinction):
+            extinction = filled(extinction)
         if tuple(extinction.shape) != self.scene.grid.shape:
             raise DataError(f"extinction has shape {tuple(extinction.shape)}, the grid {self.scene.grid.shape}")
         clear, skips_zeros = self._empty_by_mask, False
         if self.device.is_array(extinction):
             beta = extinction
         else:
-            values = np.ascontiguousarray(filled(extinction), np.float32)
+            values = np.ascontiguousarray(extinction, np.float32)
             check_extinction(values)
             if self._radius is not None:
                 remedy = "a cloudy voxel must know its droplets' size: set its extinction to 0, or give it one"

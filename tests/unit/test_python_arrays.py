@@ -154,3 +154,26 @@ def test_rays_and_tables_are_refused():
     ):
         with pytest.raises(ValueError, match="finite|number|nan|greater|less"):
             wrong()
+
+
+def labelled(values, order):
+    xarray = pytest.importorskip("xarray")
+    return xarray.DataArray(values, dims=("x", "y", "z")).transpose(*order)
+
+
+@pytest.mark.parametrize("order", [("x", "y", "z"), ("z", "y", "x"), ("y", "z", "x")])
+def test_named_dimensions_come_in_their_order(operator, tmp_path, order):
+    """As of a dataset that was read from our own files, whose dimensions are (z, y, x)."""
+    given = labelled(CLOUD, order)
+    np.testing.assert_array_equal(operator.render(given, 4).mean, operator.render(CLOUD, 4).mean)
+    np.testing.assert_array_equal(ct.CloudVolume(GRID, given).extinction, ct.CloudVolume(GRID, CLOUD).extinction)
+    ct.write_extinction(tmp_path / "cloud.nc", GRID, given)
+    np.testing.assert_array_equal(ct.read_extinction(tmp_path / "cloud.nc")[1], CLOUD.astype(np.float32))
+    assert ct.epsilon(given, CLOUD) == 0
+
+
+def test_images_of_named_dimensions_have_rows_first():
+    xarray = pytest.importorskip("xarray")
+    image = xarray.DataArray(np.arange(16.0).reshape(4, 4), dims=("row", "column"))
+    read = ct.Measurements((VIEW,), (image.T,), (np.ones((4, 4)),))
+    np.testing.assert_array_equal(read.images[0], image.values)
