@@ -323,7 +323,7 @@ class Bench:
         device, choose = choose_device(), choose_device
         # Opened and built once: the cases are about what users give.
         for module in (fluxes, reconstruction, rendering):
-            module.choose_device = lambda name=None: device if name is None else choose(name)
+            module.choose_device = lambda name=None, *ranks: device if name is None else choose(name, *ranks)
         # The images of a report are rendered with millions of paths, and its figures take seconds: the cases
         # of reports are those that make one, and few of them draw.
         modelled.PATHS = 1000

@@ -255,7 +255,7 @@ def test_render_that_fails_leaves_no_file(folder, capsys, arguments, message):
     ],
 )
 def test_render_refuses_the_output_before_the_work(folder, capsys, monkeypatch, output, message):
-    monkeypatch.setattr(rendering, "choose_device", lambda name: pytest.fail("the work began"))
+    monkeypatch.setattr(rendering, "choose_device", lambda *given: pytest.fail("the work began"))
     assert message in fails(capsys, "render", "scene.toml", "--output", output)
 
 
