@@ -45,14 +45,10 @@ class Calibration:
         gains = np.asarray(gain_errors, float)
         self._weights, self._view, self._unit = weights, view, unit
         self.motion_errors = np.zeros((len(gains), MOTIONS)) if motion_errors is None else motion_errors
-        self._motions = np.zeros((len(weights), 0))
-        self.has_motions = motions is not None and bool(np.any(self.motion_errors > 0))
-        if motions is not None and self.has_motions:
-            self._motions = motions
-        errors = np.column_stack([gains, self.motion_errors]) if self.has_motions else gains[:, None]
-        self._errors = errors
-        self._exact = errors <= 0
-        self._held = np.divide(unit, errors**2, out=np.zeros(errors.shape), where=~self._exact)
+        self._motions = np.zeros((len(weights), 0)) if motions is None else motions
+        self._errors = np.column_stack([gains, self.motion_errors])[:, : 1 + self._motions.shape[1]]
+        self._exact = self._errors <= 0
+        self._held = np.divide(unit, self._errors**2, out=np.zeros_like(self._errors), where=~self._exact)
         # Exact views fix the scale by themselves.
         held = self._held[:, 0]
         self._share = held / held.max() if np.all(gains > 0) else None
@@ -67,7 +63,7 @@ class Calibration:
         """Residuals without what gains and motions explain.
 
         residual, modelled : shape (pixels,); the image that gains multiply, which need not be the residual's. The
-            residual is that of views without motions (`unmoved`)
+            residual is that of views without motions: take out their `change` where they have some
         """
         if self._exact.all():
             return residual
@@ -76,19 +72,17 @@ class Calibration:
 
     def motions(self, residual: np.ndarray, modelled: np.ndarray) -> np.ndarray:
         """Those that explain residuals best, shape (views, 3); arguments as of a call."""
-        if not self.has_motions:
+        if self._motions.shape[1] == 0:
             return np.zeros_like(self.motion_errors)
         return -self._fitted(self._basis(modelled), residual)[:, 1:]
 
     def change(self, motions: np.ndarray) -> np.ndarray:
         """What motions of the views, shape (views, 3), change their pixels by, shape (pixels,)."""
-        if not self.has_motions:
-            return np.zeros(len(self._view))
-        return np.sum(self._motions * motions[self._view], axis=1)
+        return np.sum(self._motions * motions[self._view, : self._motions.shape[1]], axis=1)
 
     def drawn(self, random: np.random.Generator, modelled: np.ndarray) -> np.ndarray:
         """Errors of an image that gains and motions might bring, shape (pixels,)."""
-        draws = self._errors * random.standard_normal(self._errors.shape[::-1]).T
+        draws = self._errors * random.standard_normal(self._errors.shape)
         return np.sum(self._basis(modelled) * draws[self._view], axis=1)
 
     def _basis(self, modelled: np.ndarray) -> np.ndarray:

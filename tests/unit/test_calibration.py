@@ -97,3 +97,12 @@ def test_an_image_of_moved_views_is_explained_by_its_motions(random):
     residual = -calibration.change(moves)
     np.testing.assert_allclose(calibration.motions(residual, modelled), moves, atol=1e-7)
     np.testing.assert_allclose(calibration(residual, modelled), 0.0, atol=1e-7)
+
+
+def test_in_a_larger_unit_motions_explain_less(random):
+    """Their own cost then counts more: with one that nothing reaches, they stand still."""
+    residual, modelled, *_, calibration = with_motions(random)
+    still = calibration.in_unit(1e9)
+    np.testing.assert_allclose(still.motions(residual, modelled), 0.0, atol=1e-6)
+    np.testing.assert_allclose(still(residual, modelled), residual, atol=1e-5)
+    assert np.abs(calibration.motions(residual, modelled)).max() > 0.01

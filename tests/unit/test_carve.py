@@ -37,6 +37,15 @@ def test_a_bright_pixel_keeps_its_column_alone():
     np.testing.assert_array_equal(mask, expected)
 
 
+def test_beside_a_bright_pixel_columns_stay_as_far_as_pointing_is_uncertain():
+    """Two standard errors of a shift by 0.3 pixels along each axis: one pixel, on every side."""
+    measured, cloud_free = images([FROM_ABOVE], [(0, 3, 2)])
+    mask = carve(GRID, replace(measured, position_errors=(0.03,)), cloud_free)
+    expected = np.zeros(GRID.shape, bool)
+    expected[1:4, 3:6] = True
+    np.testing.assert_array_equal(mask, expected)
+
+
 def test_two_views_keep_the_intersection():
     from_south = OrthographicView(width=0.8, pixels=(8, 4), position=(0.4, -1.0, 0.2), target=(0.4, 0.4, 0.2))
     mask = carve(GRID, *images([FROM_ABOVE, from_south], [(0, 3, 2), (1, 1, 2)]))
