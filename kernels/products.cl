@@ -1,6 +1,14 @@
-/* Products with a Jacobian in two parts: the near field by rows (CSR) and by columns (its transpose, an index into the
- * rows), and the far field by blocks. NUMBERS is float, or float8 for as many vectors at once. Every sum is one work
- * item's, in the order of its entries. */
+/* Products with a Jacobian in two parts: the near field by rows (CSR) and by columns, and the far field by blocks. Every
+ * sum is one work item's, in the order of its entries; those of the far field are made in parts of FAR_PART, which are
+ * added in theirs. WIDTH is that of the vectors which are read at a time, 16. */
+
+inline float sum_of(float16 lanes)
+{
+    const float8 eight = lanes.lo + lanes.hi;
+    const float4 four = eight.lo + eight.hi;
+    const float2 two = four.lo + four.hi;
+    return two.x + two.y;
+}
 
 /* near x + far x. */
 __kernel void jacobian_times(JACOBIAN_TIMES_PARAMETERS)
@@ -8,7 +16,7 @@ __kernel void jacobian_times(JACOBIAN_TIMES_PARAMETERS)
     const size_t row = get_global_id(0);
     if (row >= pixel_count)
         return;
-    NUMBERS sum = 0.0f;
+    float sum = 0.0f;
     for (uint entry = row_start[row]; entry < row_start[row + 1]; ++entry)
         sum += values[entry] * x[columns[entry]];
     result[row] = sum + of_blocks[pixel_block[row]];
@@ -20,9 +28,9 @@ __kernel void jacobian_transposed(JACOBIAN_TRANSPOSED_PARAMETERS)
     const size_t voxel = get_global_id(0);
     if (voxel >= voxel_count)
         return;
-    NUMBERS sum = 0.0f;
+    float sum = 0.0f;
     for (uint place = column_start[voxel]; place < column_start[voxel + 1]; ++place)
-        sum += values[entries[place]] * y[rows[place]];
+        sum += values[place] * y[rows[place]];
     result[voxel] = sum + of_blocks[block[voxel]];
 }
 
@@ -32,13 +40,21 @@ __kernel void jacobian_curvature(JACOBIAN_CURVATURE_PARAMETERS)
     const size_t voxel = get_global_id(0);
     if (voxel >= voxel_count)
         return;
-    NUMBERS sum = 0.0f;
+    float sum = 0.0f;
     for (uint place = column_start[voxel]; place < column_start[voxel + 1]; ++place) {
         const uint row = rows[place];
-        const float value = values[entries[place]];
+        const float value = values[place];
         sum += value * (value + 2.0f * far[(size_t)pixel_block[row] * block_count + block[voxel]]) * y[row];
     }
     result[voxel] = sum + of_blocks[block[voxel]];
+}
+
+/* The near field by columns from that by rows. */
+__kernel void near_by_column(NEAR_BY_COLUMN_PARAMETERS)
+{
+    const size_t place = get_global_id(0);
+    if (place < count)
+        result[place] = values[entries[place]];
 }
 
 /* Sums of a vector's numbers over the members of each block. */
@@ -47,32 +63,70 @@ __kernel void sum_members(SUM_MEMBERS_PARAMETERS)
     const size_t index = get_global_id(0);
     if (index >= block_count)
         return;
-    NUMBERS sum = 0.0f;
+    float sum = 0.0f;
     for (uint place = member_start[index]; place < member_start[index + 1]; ++place)
         sum += x[members[place]];
     result[index] = sum;
 }
 
+/* far x, in parts of FAR_PART columns: `result` is [part][row]. */
 __kernel void far_times(FAR_TIMES_PARAMETERS)
 {
-    const size_t row = get_global_id(0);
-    if (row >= pixel_block_count)
+    const uint item = get_global_id(0), part = item / pixel_block_count, row = item % pixel_block_count;
+    if (part * FAR_PART >= block_count)
         return;
-    NUMBERS sum = 0.0f;
-    for (uint n = 0u; n < block_count; ++n)
-        sum += far[row * block_count + n] * x[n];
-    result[row] = sum;
+    const __global float *values = far + (size_t)row * block_count;
+    const uint last = min((part + 1u) * FAR_PART, block_count);
+    float16 sums = 0.0f;
+    uint n = part * FAR_PART;
+    for (; n + WIDTH <= last; n += WIDTH)
+        sums += vload16(0, values + n) * vload16(0, x + n);
+    float sum = sum_of(sums);
+    for (; n < last; ++n)
+        sum += values[n] * x[n];
+    result[item] = sum;
 }
 
+/* far^T y, or with the squares of far, in parts of FAR_PART rows: `result` is [part][column]; WIDTH columns a work
+ * item. */
 __kernel void far_transposed(FAR_TRANSPOSED_PARAMETERS)
 {
-    const size_t n = get_global_id(0);
-    if (n >= block_count)
+    const uint groups = (block_count + WIDTH - 1u) / WIDTH;
+    const uint part = get_global_id(0) / groups, first = get_global_id(0) % groups * WIDTH;
+    if (part * FAR_PART >= pixel_block_count)
         return;
-    NUMBERS sum = 0.0f;
-    for (uint row = 0u; row < pixel_block_count; ++row) {
-        const float value = far[(size_t)row * block_count + n];
-        sum += (squares ? value * value : value) * y[row];
+    const uint last = min((part + 1u) * FAR_PART, pixel_block_count);
+    const __global float *values = far + first;
+    __global float *sums = result + (size_t)part * block_count + first;
+    if (first + WIDTH <= block_count) {
+        float16 sum = 0.0f;
+        for (uint row = part * FAR_PART; row < last; ++row) {
+            const float16 value = vload16(0, values + (size_t)row * block_count);
+            sum += (squares ? value * value : value) * y[row];
+        }
+        /* Not vstore16: PoCL 3 does not find a program that has it in its cache again. */
+        vstore8(sum.lo, 0, sums);
+        vstore8(sum.hi, 1, sums);
+        return;
     }
-    result[n] = sum;
+    for (uint n = 0u; first + n < block_count; ++n) {
+        float sum = 0.0f;
+        for (uint row = part * FAR_PART; row < last; ++row) {
+            const float value = values[(size_t)row * block_count + n];
+            sum += (squares ? value * value : value) * y[row];
+        }
+        sums[n] = sum;
+    }
+}
+
+/* The sum of parts, [part][count]. */
+__kernel void sum_parts(SUM_PARTS_PARAMETERS)
+{
+    const size_t index = get_global_id(0);
+    if (index >= count)
+        return;
+    float sum = 0.0f;
+    for (uint part = 0u; part < part_count; ++part)
+        sum += parts[(size_t)part * count + index];
+    result[index] = sum;
 }

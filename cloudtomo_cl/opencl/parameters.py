@@ -65,6 +65,13 @@ _ROWS = (
     "const uint first_pixel",
     "const uint row_count",
 )
+_COLUMNS = (
+    "const uint voxel_count",
+    "const __global uint *column_start",
+    "const __global uint *rows",  # of every column's entries
+    "const __global float *values",  # of these
+    "const __global int *block",
+)
 _FAR = (
     "const uint pixel_block_count",
     "const uint block_count",
@@ -163,44 +170,46 @@ KERNELS: dict[str, tuple[str, ...]] = {
         "const __global int *columns",
         "const __global float *values",
         "const __global uint *pixel_block",
-        "const __global NUMBERS *of_blocks",  # the far field's part, [pixel block]
-        "const __global NUMBERS *x",
-        "__global NUMBERS *result",
+        "const __global float *of_blocks",  # the far field's part, [pixel block]
+        "const __global float *x",
+        "__global float *result",
     ),
     "jacobian_transposed": (
-        "const uint voxel_count",
-        "const __global uint *column_start",
-        "const __global uint *entries",  # of every column, among the rows' values
-        "const __global uint *rows",  # of these
-        "const __global float *values",
-        "const __global int *block",
-        "const __global NUMBERS *of_blocks",  # the far field's part, [block]
-        "const __global NUMBERS *y",
-        "__global NUMBERS *result",
+        *_COLUMNS,
+        "const __global float *of_blocks",  # the far field's part, [block]
+        "const __global float *y",
+        "__global float *result",
     ),
     "jacobian_curvature": (
-        "const uint voxel_count",
-        "const __global uint *column_start",
-        "const __global uint *entries",
-        "const __global uint *rows",
-        "const __global float *values",
-        "const __global int *block",
+        *_COLUMNS,
         "const __global uint *pixel_block",
         "const uint block_count",
         "const __global float *far",  # [pixel block][block]
-        "const __global NUMBERS *of_blocks",
-        "const __global NUMBERS *y",
-        "__global NUMBERS *result",
+        "const __global float *of_blocks",
+        "const __global float *y",
+        "__global float *result",
+    ),
+    "near_by_column": (
+        "const uint count",
+        "const __global uint *entries",  # of every column, among the rows' values
+        "const __global float *values",
+        "__global float *result",
     ),
     "sum_members": (
         "const uint block_count",
         "const __global uint *member_start",
         "const __global uint *members",
-        "const __global NUMBERS *x",
-        "__global NUMBERS *result",
+        "const __global float *x",
+        "__global float *result",
     ),
-    "far_times": (*_FAR, "const __global NUMBERS *x", "__global NUMBERS *result"),
-    "far_transposed": (*_FAR, "const int squares", "const __global NUMBERS *y", "__global NUMBERS *result"),
+    "far_times": (*_FAR, "const __global float *x", "__global float *result"),
+    "far_transposed": (*_FAR, "const int squares", "const __global float *y", "__global float *result"),
+    "sum_parts": (
+        "const uint count",
+        "const uint part_count",
+        "const __global float *parts",  # [part][count]
+        "__global float *result",
+    ),
     "probe_paths": (
         *MEDIUM,
         "const uint seed",
@@ -269,7 +278,7 @@ _NUMBERS: dict[str, Any] = {
 }  # fmt: skip
 # Types of buffers whose arrays have their components as another axis, or are made of structs: host and kernels agree
 # on those by layout.STRUCTS.
-_ELEMENTS = _NUMBERS | {"uint2": np.uint32, "float2": np.float32, "ushort4": np.uint16, "NUMBERS": np.float32}
+_ELEMENTS = _NUMBERS | {"uint2": np.uint32, "float2": np.float32, "ushort4": np.uint16}
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A Jacobian by columns: where one rank's pixels have all, an index into the rows; else every rank has its voxels'.
+"""A Jacobian by columns: of one rank a copy of its rows' values in another order; else every rank has its voxels'.
 
 A product with the transpose adds up, for every voxel, what all pixels bring, in the order of the pixels. Ranks that
 have the rows of some pixels each would have to add their parts, and the bits would follow from their number. So every
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 # In which the far field changes hands.
 _PARTS = 8
+# Sums over blocks are made in parts of so many, and transposed ones for so many columns at a time (products.cl).
+FAR_PART, COLUMNS_AT_ONCE = 128, 16
+PRODUCT_FEATURES = (f"FAR_PART {FAR_PART}u", f"WIDTH {COLUMNS_AT_ONCE}u")
 
 
 class ByVoxel(Protocol):
@@ -32,7 +35,7 @@ class ByVoxel(Protocol):
     blocks : this rank's voxel blocks
     block : of its voxels, among these, on the device
     pixel_block : of every pixel, on the device
-    start, entries, rows : of the columns: where they begin, the entries' places among values, and their pixels
+    start, rows : of the columns: where they begin, and their entries' pixels
     """
 
     shares: Shares
@@ -40,7 +43,6 @@ class ByVoxel(Protocol):
     block: Any
     pixel_block: Any
     start: Any
-    entries: Any
     rows: Any
 
     def arrays(self, near: DeviceArray, far: DeviceArray) -> tuple[DeviceArray, DeviceArray]:
@@ -55,12 +57,12 @@ class ByVoxel(Protocol):
 def by_voxel(structure: NearField, row_start: np.ndarray, columns: np.ndarray) -> ByVoxel:
     """That of rows which are a rank's: where they begin, and their entries' columns."""
     if structure.shares.ranks.size == 1:
-        return _Index(structure, row_start, columns)
+        return _Reordered(structure, row_start, columns)
     return _Exchanged(structure, row_start, columns)
 
 
-class _Index:
-    """One rank has all rows: its columns are an index into them."""
+class _Reordered:
+    """One rank has all rows: its columns have the same values in another order."""
 
     def __init__(self, structure: NearField, row_start: np.ndarray, columns: np.ndarray) -> None:
         import scipy.sparse
@@ -68,19 +70,24 @@ class _Index:
         shape = (structure.pixels, structure.voxels)
         by_row = scipy.sparse.csr_matrix((np.arange(len(columns), dtype=np.uint32), columns, row_start), shape)
         by_column = by_row.tocsc()
+        self._device, self._count = structure.device, len(columns)
         self.shares = structure.shares.ranks.dealt(structure.voxel_blocks.of)
         self.blocks = np.arange(len(structure.voxel_blocks))
         self.block, self.pixel_block = structure.block, structure.pixel_block
         constant = structure.device.constant
         self.start = constant(by_column.indptr.astype(np.uint32))
-        self.entries = constant(by_column.data)
+        self._entries = constant(by_column.data)
         self.rows = constant(by_column.indices.astype(np.uint32))
 
     def arrays(self, near: DeviceArray, far: DeviceArray) -> tuple[DeviceArray, DeviceArray]:
-        return near, far
+        return self._device.zeros(max(self._count, 1), np.float32), far
 
     def refresh(self, near: DeviceArray, far: DeviceArray, arrays: tuple[DeviceArray, DeviceArray]) -> None:
-        """Nothing: the values are the rows'."""
+        if self._count:
+            kernel = self._device.kernel("products", "near_by_column", PRODUCT_FEATURES)
+            self._device.launch(
+                kernel, self._count, count=self._count, entries=self._entries, values=near, result=arrays[0]
+            )
 
 
 class _Exchanged:
@@ -105,7 +112,6 @@ class _Exchanged:
         counts = np.bincount(column, minlength=structure.voxels)[self.shares.own]
         del column
         self.start = constant(np.concatenate([[0], np.cumsum(counts)]).astype(np.uint32))
-        self.entries = constant(np.arange(len(row), dtype=np.uint32))
         self.rows = constant(row[self._place].astype(np.uint32))
         self._pixel_blocks = len(structure.pixel_blocks)
         self._rows_of = self._ranks.all(structure.row_blocks)

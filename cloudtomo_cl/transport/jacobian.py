@@ -5,6 +5,7 @@ Of several ranks each makes the rows of its pixels, and products with the column
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,15 +16,14 @@ from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, device_errors
 from cloudtomo_cl.opencl.layout import DERIVATIVE_UNIT, TILE_WIDTH
 from cloudtomo_cl.opencl.memory import Footprint
-from cloudtomo_cl.transport.by_voxel import ByVoxel, by_voxel
+from cloudtomo_cl.parallel.ranks import Shares
+from cloudtomo_cl.transport.by_voxel import COLUMNS_AT_ONCE, FAR_PART, PRODUCT_FEATURES, ByVoxel, by_voxel
 from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.near_field import Blocks, pixel_blocks, tiles_of, voxel_blocks
 from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering
 
 # Slots of tiles whose sums are made at a time.
 _SLOTS_AT_ONCE = 1 << 24
-# Vectors that a product with several takes at a time.
-_VECTORS = 8
 _MOST_ENTRIES = 2**32 - 1
 
 
@@ -96,7 +96,7 @@ def jacobian_footprint(pixels: int, voxels: int, longest: int) -> Footprint:
     entries = min(slots, pixels * voxels)
     sums = 8.0 * min(slots, _SLOTS_AT_ONCE + longest * TILE_WIDTH**2)
     far = 12.0 * (1 << 25)
-    return Footprint(16.0 * entries + sums + far, max(4.0 * entries, sums, far), 16.0 * entries)
+    return Footprint(20.0 * entries + sums + far, max(4.0 * entries, sums, far), 16.0 * entries)
 
 
 class Jacobian(LinearOperator):
@@ -122,16 +122,17 @@ class Jacobian(LinearOperator):
         self._buffers: dict[Any, Any] = {}
 
     def _matvec(self, x: np.ndarray) -> np.ndarray:
-        return self._times(np.asarray(x, np.float32).reshape(-1, 1))[:, 0]
+        return self._of_host(self.times, x, self.shape[0])
 
     def _rmatvec(self, y: np.ndarray) -> np.ndarray:
-        return self._transposed(np.asarray(y, np.float32).reshape(-1, 1))[:, 0]
+        return self._of_host(self.transposed, y, self.shape[1])
 
-    def _matmat(self, x: np.ndarray) -> np.ndarray:
-        return _by_columns(self._times, np.asarray(x, np.float32))
-
-    def _rmatmat(self, y: np.ndarray) -> np.ndarray:
-        return _by_columns(self._transposed, np.asarray(y, np.float32))
+    def _of_host(self, product: Any, vector: np.ndarray, length: int) -> np.ndarray:
+        """A product with a vector of the host."""
+        given, result = self._array("given", vector.size), self._array("result", length)
+        given.set(np.asarray(vector, np.float32).reshape(-1))
+        product(given, result)
+        return result.get()
 
     def curvature(self, weights: np.ndarray) -> np.ndarray:
         """The diagonal of J^T W J: sum_d w_d J_dv^2.
@@ -144,96 +145,108 @@ class Jacobian(LinearOperator):
         -------
         shape (voxels,), float64
         """
-        own = self._structure.by_voxel
-        far, given, result = self._far_transposed(np.asarray(weights, np.float32)[:, None], squares=True)
-        self._launch(
-            1, "jacobian_curvature", len(own.shares), **self._by_column, pixel_block=own.pixel_block,
-            block_count=len(own.blocks), far=self._far_by_voxel, of_blocks=far, y=given, result=result,
-        )  # fmt: skip
-        return own.shares.gathered(result.get()[: len(own.shares)])[:, 0].astype(float)
+        own, structure = self._structure.by_voxel, self._structure
+        given, result = self._array("given", structure.pixels), self._array("result", structure.voxels)
+        given.set(np.asarray(weights, np.float32))
+        far = self._far_transposed(given, squares=True)
+
+        def of_own(target: DeviceArray) -> None:
+            self._launch(
+                "jacobian_curvature", len(own.shares), **self._by_column, pixel_block=own.pixel_block,
+                block_count=len(own.blocks), far=self._far_by_voxel, of_blocks=far, y=given, result=target,
+            )  # fmt: skip
+
+        self._gathered(own.shares, of_own, result)
+        return result.get().astype(float)
 
     @device_errors("a product with the derivatives")
-    def _times(self, x: np.ndarray) -> np.ndarray:
-        """J x for vectors, shape (voxels, vectors)."""
-        own, vectors = self._structure, x.shape[1]
-        given, sums, far, result = self._arrays(
-            vectors, own.voxels, len(own.voxel_blocks), len(own.row_blocks), own.rows
-        )
-        given.set(np.ascontiguousarray(x))
+    def times(self, x: DeviceArray, result: DeviceArray) -> None:
+        """Makes `result`, shape (pixels,), J x; both on the device, float32."""
+        own = self._structure
         blocks, rows = own.voxel_blocks, len(own.row_blocks)
-        self._sum_members(vectors, "voxels", blocks, given, sums)
+        sums = self._sum_members("voxels", blocks, x)
         counts = {"pixel_block_count": rows, "block_count": len(blocks)}
-        self._launch(vectors, "far_times", rows, **counts, far=self._far, x=sums, result=far)
-        self._launch(
-            vectors, "jacobian_times", own.rows, pixel_count=own.rows, row_start=own.row_start,
-            columns=own.columns, values=self._near, pixel_block=own.pixel_block, of_blocks=far, x=given, result=result,
-        )  # fmt: skip
-        return own.shares.gathered(result.get()[: own.rows])
+        far = self._in_parts("far_times", len(blocks), rows, rows, **counts, far=self._far, x=sums)
+
+        def of_own(target: DeviceArray) -> None:
+            self._launch(
+                "jacobian_times", own.rows, pixel_count=own.rows, row_start=own.row_start, columns=own.columns,
+                values=self._near, pixel_block=own.pixel_block, of_blocks=far, x=x, result=target,
+            )  # fmt: skip
+
+        self._gathered(own.shares, of_own, result)
 
     @device_errors("a product with the derivatives")
-    def _transposed(self, y: np.ndarray) -> np.ndarray:
-        """J^T y for vectors, shape (pixels, vectors)."""
-        vectors, own = y.shape[1], self._structure.by_voxel
-        far, given, result = self._far_transposed(y, squares=False)
-        self._launch(
-            vectors, "jacobian_transposed", len(own.shares), **self._by_column, of_blocks=far, y=given, result=result
-        )
-        return own.shares.gathered(result.get()[: len(own.shares)])
+    def transposed(self, y: DeviceArray, result: DeviceArray) -> None:
+        """Makes `result`, shape (voxels,), J^T y; both on the device, float32."""
+        own = self._structure.by_voxel
+        far = self._far_transposed(y, squares=False)
 
-    def _far_transposed(self, y: np.ndarray, squares: bool) -> tuple[DeviceArray, DeviceArray, DeviceArray]:
-        """The far field's part, y on the device, and where the result is to go; of this rank's voxels."""
-        own, vectors = self._structure, y.shape[1]
-        blocks, voxels = len(own.by_voxel.blocks), len(own.by_voxel.shares)
-        given, sums, far, result = self._arrays(vectors, own.pixels, len(own.pixel_blocks), blocks, voxels)
-        given.set(np.ascontiguousarray(y))
-        self._sum_members(vectors, "pixels", own.pixel_blocks, given, sums)
-        self._launch(
-            vectors, "far_transposed", blocks, pixel_block_count=len(own.pixel_blocks), block_count=blocks,
-            far=self._far_by_voxel, squares=squares, y=sums, result=far,
+        def of_own(target: DeviceArray) -> None:
+            self._launch(
+                "jacobian_transposed", len(own.shares), **self._by_column, of_blocks=far, y=y, result=target
+            )
+
+        self._gathered(own.shares, of_own, result)
+
+    def _far_transposed(self, y: DeviceArray, squares: bool) -> DeviceArray:
+        """The far field's part for this rank's blocks of voxels."""
+        own = self._structure
+        rows, blocks = len(own.pixel_blocks), len(own.by_voxel.blocks)
+        sums = self._sum_members("pixels", own.pixel_blocks, y)
+        return self._in_parts(
+            "far_transposed", rows, blocks, -(-blocks // COLUMNS_AT_ONCE), pixel_block_count=rows,
+            block_count=blocks, far=self._far_by_voxel, squares=squares, y=sums,
         )  # fmt: skip
-        return far, given, result
 
     @property
     def _by_column(self) -> dict[str, Any]:
         """The near field as kernels take it that go through its columns."""
         own = self._structure.by_voxel
         return {
-            "voxel_count": len(own.shares), "column_start": own.start, "entries": own.entries, "rows": own.rows,
+            "voxel_count": len(own.shares), "column_start": own.start, "rows": own.rows,
             "values": self._near_by_voxel, "block": own.block,
         }  # fmt: skip
 
-    def _sum_members(self, vectors: int, name: str, blocks: Blocks, given: DeviceArray, result: DeviceArray) -> None:
+    def _gathered(self, shares: Shares, made: Callable[[DeviceArray], None], result: DeviceArray) -> None:
+        """Has all ranks' parts of a result made: each into an array of its own, and one rank in place."""
+        if shares.owner is None:
+            made(result)
+            return
+        part = self._array("part", len(shares))
+        made(part)
+        result.set(shares.gathered(part.get()[: len(shares)]))
+
+    def _sum_members(self, name: str, blocks: Blocks, given: DeviceArray) -> DeviceArray:
+        """The sums of a vector over the members of blocks."""
         if name not in self._buffers:
             constant = self._structure.device.constant
             self._buffers[name] = {"member_start": constant(blocks.start), "members": constant(blocks.members)}
+        sums = self._array("sums", len(blocks))
         self._launch(
-            vectors, "sum_members", len(blocks), block_count=len(blocks), **self._buffers[name], x=given, result=result
+            "sum_members", len(blocks), block_count=len(blocks), **self._buffers[name], x=given, result=sums
         )
+        return sums
 
-    def _arrays(self, vectors: int, *lengths: int) -> list[DeviceArray]:
-        """Arrays on the device for so many vectors of these lengths; made once."""
-        key = (vectors, *lengths)
+    def _in_parts(self, name: str, summed: int, count: int, work_items: int, **arguments: Any) -> DeviceArray:
+        """A product whose sums of so many numbers are made in parts, each by so many work items; `count` results."""
+        parts = -(-summed // FAR_PART)
+        of_parts, result = self._array("parts", parts * count), self._array("far", count)
+        self._launch(name, parts * work_items, **arguments, result=of_parts)
+        self._launch("sum_parts", count, count=count, part_count=parts, parts=of_parts, result=result)
+        return result
+
+    def _array(self, use: str, length: int) -> DeviceArray:
+        """An array on the device for one use, made once."""
+        key = (use, length)
         if key not in self._buffers:
-            device = self._structure.device
-            self._buffers[key] = [device.empty((max(length, 1), vectors), np.float32) for length in lengths]
+            self._buffers[key] = self._structure.device.empty(max(length, 1), np.float32)
         return self._buffers[key]
 
-    def _launch(self, vectors: int, name: str, work_items: int, **arguments: Any) -> None:
-        device: Device = self._structure.device
-        features = ("NUMBERS float",) if vectors == 1 else (f"NUMBERS float{_VECTORS}",)
+    def _launch(self, name: str, work_items: int, **arguments: Any) -> None:
         if work_items:
-            device.launch(device.kernel("products", name, features), work_items, **arguments)
-
-
-def _by_columns(product: Any, columns: np.ndarray) -> np.ndarray:
-    """A product with the columns of a matrix, so many at a time as kernels take."""
-    results = []
-    for first in range(0, columns.shape[1], _VECTORS):
-        part = columns[:, first : first + _VECTORS]
-        padded = np.zeros((len(columns), _VECTORS), np.float32)
-        padded[:, : part.shape[1]] = part
-        results.append(product(padded)[:, : part.shape[1]])
-    return np.hstack(results)
+            device: Device = self._structure.device
+            device.launch(device.kernel("products", name, PRODUCT_FEATURES), work_items, **arguments)
 
 
 class JacobianSums:
