@@ -1,11 +1,10 @@
 /* Products with a Jacobian in two parts: the near field by rows (CSR) and by columns, and the far field by blocks. Every
  * sum is one work item's, in the order of its entries; those of the far field are made in parts of FAR_PART, which are
- * added in theirs. WIDTH is that of the vectors which are read at a time, 16. */
+ * added in theirs. WIDTH is that of the vectors which are read at a time, 8. */
 
-inline float sum_of(float16 lanes)
+inline float sum_of(float8 lanes)
 {
-    const float8 eight = lanes.lo + lanes.hi;
-    const float4 four = eight.lo + eight.hi;
+    const float4 four = lanes.lo + lanes.hi;
     const float2 two = four.lo + four.hi;
     return two.x + two.y;
 }
@@ -77,10 +76,10 @@ __kernel void far_times(FAR_TIMES_PARAMETERS)
         return;
     const __global float *values = far + (size_t)row * block_count;
     const uint last = min((part + 1u) * FAR_PART, block_count);
-    float16 sums = 0.0f;
+    float8 sums = 0.0f;
     uint n = part * FAR_PART;
     for (; n + WIDTH <= last; n += WIDTH)
-        sums += vload16(0, values + n) * vload16(0, x + n);
+        sums += vload8(0, values + n) * vload8(0, x + n);
     float sum = sum_of(sums);
     for (; n < last; ++n)
         sum += values[n] * x[n];
@@ -99,14 +98,12 @@ __kernel void far_transposed(FAR_TRANSPOSED_PARAMETERS)
     const __global float *values = far + first;
     __global float *sums = result + (size_t)part * block_count + first;
     if (first + WIDTH <= block_count) {
-        float16 sum = 0.0f;
+        float8 sum = 0.0f;
         for (uint row = part * FAR_PART; row < last; ++row) {
-            const float16 value = vload16(0, values + (size_t)row * block_count);
+            const float8 value = vload8(0, values + (size_t)row * block_count);
             sum += (squares ? value * value : value) * y[row];
         }
-        /* Not vstore16: PoCL 3 does not find a program that has it in its cache again. */
-        vstore8(sum.lo, 0, sums);
-        vstore8(sum.hi, 1, sums);
+        vstore8(sum, 0, sums);
         return;
     }
     for (uint n = 0u; first + n < block_count; ++n) {

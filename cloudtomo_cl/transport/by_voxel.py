@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # In which the far field changes hands.
 _PARTS = 8
 # Sums over blocks are made in parts of so many, and transposed ones for so many columns at a time (products.cl).
-FAR_PART, COLUMNS_AT_ONCE = 128, 16
+FAR_PART, COLUMNS_AT_ONCE = 128, 8
 PRODUCT_FEATURES = (f"FAR_PART {FAR_PART}u", f"WIDTH {COLUMNS_AT_ONCE}u")
 
 

@@ -130,7 +130,7 @@ class Jacobian(LinearOperator):
     def _of_host(self, product: Any, vector: np.ndarray, length: int) -> np.ndarray:
         """A product with a vector of the host."""
         given, result = self._array("given", vector.size), self._array("result", length)
-        given.set(np.asarray(vector, np.float32).reshape(-1))
+        given.set(np.ascontiguousarray(vector, np.float32).reshape(-1))
         product(given, result)
         return result.get()
 
@@ -147,7 +147,7 @@ class Jacobian(LinearOperator):
         """
         own, structure = self._structure.by_voxel, self._structure
         given, result = self._array("given", structure.pixels), self._array("result", structure.voxels)
-        given.set(np.asarray(weights, np.float32))
+        given.set(np.ascontiguousarray(weights, np.float32))
         far = self._far_transposed(given, squares=True)
 
         def of_own(target: DeviceArray) -> None:
