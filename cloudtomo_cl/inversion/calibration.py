@@ -43,7 +43,7 @@ class Calibration:
         motion_errors: np.ndarray | None = None,
     ) -> None:
         gains = np.asarray(gain_errors, float)
-        self._weights, self._view, self._unit = weights, view, unit
+        self._weights, self.view, self._unit = weights, view, unit
         self.motion_errors = np.zeros((len(gains), MOTIONS)) if motion_errors is None else motion_errors
         self._motions = np.zeros((len(weights), 0)) if motions is None else motions
         self._errors = np.column_stack([gains, self.motion_errors])[:, : 1 + self._motions.shape[1]]
@@ -68,7 +68,7 @@ class Calibration:
         if self._exact.all():
             return residual
         basis = self._basis(modelled)
-        return residual - np.sum(basis * self._fitted(basis, residual)[self._view], axis=1)
+        return residual - np.sum(basis * self._fitted(basis, residual)[self.view], axis=1)
 
     def motions(self, residual: np.ndarray, modelled: np.ndarray) -> np.ndarray:
         """Those that explain residuals best, shape (views, 3); arguments as of a call."""
@@ -78,28 +78,55 @@ class Calibration:
 
     def change(self, motions: np.ndarray) -> np.ndarray:
         """What motions of the views, shape (views, 3), change their pixels by, shape (pixels,)."""
-        return np.sum(self._motions * motions[self._view, : self._motions.shape[1]], axis=1)
+        return np.sum(self._motions * motions[self.view, : self._motions.shape[1]], axis=1)
 
     def drawn(self, random: np.random.Generator, modelled: np.ndarray) -> np.ndarray:
         """Errors of an image that gains and motions might bring, shape (pixels,)."""
         draws = self._errors * random.standard_normal(self._errors.shape)
-        return np.sum(self._basis(modelled) * draws[self._view], axis=1)
+        return np.sum(self._basis(modelled) * draws[self.view], axis=1)
 
     def _basis(self, modelled: np.ndarray) -> np.ndarray:
         """What gains and motions change pixels by, shape (pixels, 1 or 4)."""
         return np.column_stack([modelled, self._motions])
 
+    def explained(self, modelled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What a call takes out of residuals r, as matrices: B_v (M B^T W r)_v of the view v.
+
+        modelled : as of a call
+
+        Returns
+        -------
+        B, shape (pixels, 1 or 4), and M, shape (views times that, views times that); with nothing in them if all views
+        are exact
+        """
+        if self._exact.all():
+            return np.zeros((len(self._weights), 0)), np.zeros((0, 0))
+        basis = self._basis(modelled)
+        views, count = self._errors.shape
+        forces = np.eye(views * count).reshape(-1, views, count)
+        stiffness = self._stiffness(basis)
+        return basis, np.array([self._factors(stiffness, force).ravel() for force in forces]).T
+
     def _fitted(self, basis: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """Factors of the basis that are taken out of each view, shape (views, 1 or 4)."""
         views, count = self._errors.shape
         weighted = self._weights[:, None] * basis
+        force = np.column_stack([np.bincount(self.view, weighted[:, i] * residual, views) for i in range(count)])
+        return self._factors(self._stiffness(basis), force)
+
+    def _stiffness(self, basis: np.ndarray) -> np.ndarray:
+        """B^T W B and what holds gains and motions, of each view."""
+        views, count = self._errors.shape
+        weighted = self._weights[:, None] * basis
         stiffness = np.zeros((views, count, count))
-        force = np.zeros((views, count))
         for i in range(count):
-            force[:, i] = np.bincount(self._view, weighted[:, i] * residual, views)
             for j in range(count):
-                stiffness[:, i, j] = np.bincount(self._view, weighted[:, i] * basis[:, j], views)
-        stiffness += np.eye(count) * self._held[:, None, :]
+                stiffness[:, i, j] = np.bincount(self.view, weighted[:, i] * basis[:, j], views)
+        return stiffness + np.eye(count) * self._held[:, None, :]
+
+    def _factors(self, stiffness: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Those that a force, B^T W r, has, shape (views, 1 or 4)."""
+        views, count = self._errors.shape
         free = ~self._exact
         # What is exact has no part: its row and column are those of the unit matrix.
         stiffness = np.where(free[:, :, None] & free[:, None, :], stiffness, np.eye(count))

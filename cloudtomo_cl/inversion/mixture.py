@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,8 +13,6 @@ import numpy as np
 from cloudtomo_cl.errors import DataError
 
 _SHIPPED = Path(__file__).with_name("patches.npz")
-# Patches that are worked on at a time: 10 MB of them.
-AT_ONCE = 1 << 15
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +42,7 @@ class Mixture:
 
     @cached_property
     def _axes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Variances along the principal axes, shape (components, values), and the axes as columns."""
+        """Variances along the principal axes, the least first, shape (components, values), and the axes as columns."""
         variances, axes = np.linalg.eigh(self.covariances)
         return np.maximum(variances, 0.0), axes
 
@@ -58,29 +55,17 @@ class Mixture:
         """What a component's minus log density has beside its quadratic form, but for 2 pi, shape (components,)."""
         return 0.5 * np.log(self._axes[0] + noise**2).sum(axis=1) - np.log(self.weights)
 
-    def likeliest(self, patches: np.ndarray, noise: float) -> np.ndarray:
-        """The component that most likely made each patch, and noise of this standard deviation, int32.
+    def whitening(self, noise: float) -> tuple[np.ndarray, np.ndarray]:
+        """What patches with noise of this standard deviation are independent along, with variance 1.
 
-        patches : float32, shape (patches, values)
+        Returns
+        -------
+        axes as rows, the narrowest first, shape (components, values, values), and the means along them, (components,
+        values)
         """
         variances, axes = self._axes
-        whitening = (axes / np.sqrt(variances + noise**2)[:, None, :]).astype(np.float32)
-        constants = self.constants(noise).astype(np.float32)
-        found = np.zeros(len(patches), np.int32)
-        for part in _parts(len(patches)):
-            least = np.full(part.stop - part.start, np.inf, np.float32)
-            for component, mean in enumerate(self.means):
-                white = patches[part] @ whitening[component] - mean.astype(np.float32) @ whitening[component]
-                cost = 0.5 * np.einsum("ij,ij->i", white, white) + constants[component]
-                better = cost < least
-                least[better] = cost[better]
-                found[part][better] = component
-        return found
-
-
-def _parts(count: int) -> Iterator[slice]:
-    for first in range(0, count, AT_ONCE):
-        yield slice(first, min(first + AT_ONCE, count))
+        rows = (axes / np.sqrt(variances + noise**2)[:, None, :]).transpose(0, 2, 1)
+        return rows, np.einsum("kij,kj->ki", rows, self.means)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from cloudtomo_cl.inversion.bound_prior import NoiseUnits
-from cloudtomo_cl.inversion.mixture import AT_ONCE, Mixture
-from cloudtomo_cl.inversion.patches import Patches
+from cloudtomo_cl.inversion.patch_operator import PatchOperator, PatchQuadratic
+from cloudtomo_cl.inversion.vectors import Vectors
+from cloudtomo_cl.opencl.arrays import DeviceArray
 
 # Noise of a stage's first step, and how it falls from step to step.
 _FIRST_NOISE, _NOISE_SHARE = 0.2, 0.7
@@ -17,6 +19,8 @@ _FIRST_NOISE, _NOISE_SHARE = 0.2, 0.7
 _RETURNED, _HALF_PRESENT = 0.3, 0.1
 # Of a cloud of so many voxels a step's patches count half: those that were learnt from are of more.
 _FEW_VOXELS = 200.0
+# Patches that are drawn at a time: 20 MB of them.
+_AT_ONCE = 1 << 15
 
 
 class BoundPatches:
@@ -30,18 +34,17 @@ class BoundPatches:
 
     Parameters
     ----------
-    patches : of the voxels
-    mixture : of patches of this size
+    operator : of the voxels and a mixture
     strength : weight
     noise : standard deviation that patches are known to, in units of s
     """
 
-    def __init__(self, patches: Patches, mixture: Mixture, strength: float, noise: float) -> None:
-        self._patches, self._mixture = patches, mixture
-        self._weight, self._noise = strength / patches.values, noise
+    def __init__(self, operator: PatchOperator, strength: float, noise: float) -> None:
+        self._operator = operator
+        self._weight, self._noise = strength / operator.patches.values, noise
 
     def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
-        step = FrozenPatches(self._patches, self._mixture, self._weight, self._noise, extinction)
+        step = FrozenPatches(self._operator, self._weight, self._noise, extinction)
         return step.value_and_gradient(extinction, units)
 
     def frozen(self, extinction: np.ndarray, iteration: int) -> FrozenPatches:
@@ -56,7 +59,7 @@ class BoundPatches:
         """
         noise = max(_FIRST_NOISE * _NOISE_SHARE**iteration, self._noise)
         share = voxels_of_cloud(extinction) / (voxels_of_cloud(extinction) + _FEW_VOXELS)
-        step = FrozenPatches(self._patches, self._mixture, share * self._weight, noise, extinction)
+        step = FrozenPatches(self._operator, share * self._weight, noise, extinction)
         step.give_back(extinction, _RETURNED)
         return step
 
@@ -72,37 +75,15 @@ class FrozenPatches:
 
     Parameters
     ----------
-    patches, mixture : as of `BoundPatches`
+    operator : as of `BoundPatches`
     weight : strength over a patch's values
     noise : standard deviation in units of s
     extinction : where components are chosen, in units of s, shape (voxels,)
     """
 
-    def __init__(self, patches: Patches, mixture: Mixture, weight: float, noise: float, extinction: np.ndarray) -> None:
-        self._patches, self._weight = patches, weight
-        padded = patches.padded(extinction)
-        cloudy = _cloudy(patches, padded)
-        components = np.zeros(len(patches), np.int32)
-        for part in _parts(cloudy):
-            components[part] = mixture.likeliest(patches.gather(padded, part), noise)
-        # Patches in the order of their components; those without cloud, of the first one, apart.
-        order = np.argsort(components, kind="stable")
-        counts = np.bincount(components, minlength=len(mixture))
-        clear, self._cloudy = order[: counts[0]], order[counts[0] :]
-        self._components = components[self._cloudy]
-        self._means = mixture.means.astype(np.float32)
-        precisions = mixture.precisions(noise)
-        self._precisions = precisions.astype(np.float32)
-        constants = mixture.constants(noise)
-        self._constant = float(counts @ (constants - constants[0]))
-        # Patches without cloud have the mean 0 and independent values: what they add is diagonal.
-        sums = patches.zeros()
-        patches.add(sums, clear, np.ones((1, 1)))
-        self._clear = patches.on_voxels(sums) * precisions[0, 0, 0]
-        sums, diagonals = patches.zeros(), np.diagonal(precisions, axis1=1, axis2=2)
-        for part, slices in self._parts_by_component():
-            patches.add(sums, part, np.concatenate([np.tile(diagonals[k], (s.stop - s.start, 1)) for k, s in slices]))
-        self._diagonal = self._clear + patches.on_voxels(sums)
+    def __init__(self, operator: PatchOperator, weight: float, noise: float, extinction: np.ndarray) -> None:
+        self._operator, self._weight, self._noise = operator, weight, noise
+        self._quadratic = PatchQuadratic(operator, extinction, noise)
         self._slope, self._slope_start = np.zeros(len(extinction)), extinction
 
     def give_back(self, extinction: np.ndarray, share: float) -> None:
@@ -110,69 +91,64 @@ class FrozenPatches:
         presence = extinction / (extinction + _HALF_PRESENT)
         along = float(presence @ extinction)
         if along > 0:
-            pull = float(self._quadratic(extinction)[1] @ extinction)
+            pull = float(self._quadratic.value_and_gradient(extinction)[1] @ extinction)
             self._slope, self._slope_start = -share * pull / along * presence, extinction
 
     def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
-        value, gradient = self._quadratic(extinction)
+        value, gradient = self._quadratic.value_and_gradient(extinction)
         value += float(self._slope @ (extinction - self._slope_start))
         factor = units.weighted * self._weight
         return factor * value, factor * (gradient + self._slope)
 
-    def _quadratic(self, extinction: np.ndarray) -> tuple[float, np.ndarray]:
-        padded, sums = self._patches.padded(extinction), self._patches.zeros()
-        value = self._constant + 0.5 * float(self._clear @ np.square(extinction))
-        for part, slices in self._parts_by_component():
-            away = self._patches.gather(padded, part)
-            slope = np.empty_like(away)
-            for component, own in slices:
-                away[own] -= self._means[component]
-                slope[own] = away[own] @ self._precisions[component]
-            value += 0.5 * float(np.sum(away * slope, dtype=np.float64))
-            self._patches.add(sums, part, slope)
-        return value, self._clear * extinction + self._patches.on_voxels(sums)
-
     def curvature(self, extinction: np.ndarray, units: NoiseUnits) -> np.ndarray:
-        return units.weighted * self._weight * self._diagonal
+        return units.weighted * self._weight * self._quadratic.diagonal
 
     def stiffness(self, columns: np.ndarray, units: NoiseUnits) -> np.ndarray:
-        return np.column_stack([self._times(column) for column in columns.T]) * (units.weighted * self._weight)
+        products = [self._quadratic.times(column) for column in columns.T]
+        return np.column_stack(products) * (units.weighted * self._weight)
 
     def perturbation(self, random: np.random.Generator, units: NoiseUnits) -> np.ndarray:
-        sums = self._patches.zeros()
-        for part, slices in self._parts_by_component():
-            draws = random.standard_normal((len(part), self._patches.values))
-            for component, own in slices:
-                draws[own] = draws[own] @ np.linalg.cholesky(self._precisions[component].astype(float)).T
-            self._patches.add(sums, part, draws)
-        of_clear = np.sqrt(self._clear) * random.standard_normal(len(self._clear))
-        return np.sqrt(units.weighted * self._weight * units.both) * (of_clear + self._patches.on_voxels(sums))
+        patches, components, clear = self._operator.patches, self._quadratic.components, self._quadratic.clear
+        sums, precisions = patches.zeros(), self._operator.mixture.precisions(self._noise)
+        for component in np.unique(components[components > 0]):
+            root = np.linalg.cholesky(precisions[component])
+            of_component = np.flatnonzero(components == component)
+            for first in range(0, len(of_component), _AT_ONCE):
+                own = of_component[first : first + _AT_ONCE]
+                patches.add(sums, own, random.standard_normal((len(own), patches.values)) @ root.T)
+        of_clear = np.sqrt(clear) * random.standard_normal(len(clear))
+        return np.sqrt(units.weighted * self._weight * units.both) * (of_clear + patches.on_voxels(sums))
 
-    def _times(self, change: np.ndarray) -> np.ndarray:
-        padded, sums = self._patches.padded(change), self._patches.zeros()
-        for part, slices in self._parts_by_component():
-            values = self._patches.gather(padded, part)
-            for component, own in slices:
-                values[own] = values[own] @ self._precisions[component]
-            self._patches.add(sums, part, values)
-        return self._clear * change + self._patches.on_voxels(sums)
-
-    def _parts_by_component(self) -> Iterator[tuple[np.ndarray, list[tuple[int, slice]]]]:
-        """So many patches as are worked on at a time, and which of them each component has."""
-        for first in range(0, len(self._cloudy), AT_ONCE):
-            components = self._components[first : first + AT_ONCE]
-            numbers = np.unique(components)
-            starts, stops = (np.searchsorted(components, numbers, side) for side in ("left", "right"))
-            slices = [(int(k), slice(int(a), int(b))) for k, a, b in zip(numbers, starts, stops)]
-            yield self._cloudy[first : first + AT_ONCE], slices
+    def term(self, units: NoiseUnits, scale: float = 1.0) -> PatchTerm:
+        """See `FrozenPrior`."""
+        vectors = Vectors(self._operator.device, len(self._slope))
+        return PatchTerm(self._quadratic, vectors, vectors.of(self._slope), units.weighted * self._weight, scale)
 
 
-def _cloudy(patches: Patches, padded: np.ndarray) -> np.ndarray:
-    """The patches with cloud in them."""
-    filled = [patches.gather(padded, part).any(axis=1) for part in _parts(np.arange(len(patches)))]
-    return np.flatnonzero(np.concatenate(filled))
+@dataclass(frozen=True, eq=False)
+class PatchTerm:
+    """A step's patches as a function on the device; see `Term`.
 
+    Attributes
+    ----------
+    patches : the quadratic function
+    vectors : of the voxels
+    slope : and a linear one, shape (voxels,)
+    factor : of both
+    scale : from the unknowns to what patches have
+    """
 
-def _parts(chosen: np.ndarray) -> Iterator[np.ndarray]:
-    for first in range(0, len(chosen), AT_ONCE):
-        yield chosen[first : first + AT_ONCE]
+    patches: PatchQuadratic
+    vectors: Vectors
+    slope: DeviceArray
+    factor: float
+    scale: float
+    quadratic: ClassVar[bool] = True
+
+    def add_gradient(self, x: DeviceArray, result: DeviceArray) -> None:
+        factor = self.factor * self.scale
+        self.patches.add_product(x, result, factor, self.scale, means=1.0)
+        self.vectors.add(factor, self.slope, result)
+
+    def add_product(self, x: DeviceArray, result: DeviceArray) -> None:
+        self.patches.add_product(x, result, self.factor * self.scale, self.scale)

@@ -12,6 +12,7 @@ from pydantic.dataclasses import dataclass
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion.bound_prior import BoundPrior, FrozenPrior, NoiseUnits
 from cloudtomo_cl.inversion.mixture import read_mixtures
+from cloudtomo_cl.inversion.patch_operator import PatchOperator
 from cloudtomo_cl.inversion.patch_prior import BoundPatches
 from cloudtomo_cl.inversion.patches import Patches
 from cloudtomo_cl.inversion.relative_prior import RelativePrior
@@ -129,8 +130,8 @@ def bound_prior(prior: AnyPrior | Regulariser, voxels: Voxels, device: Device) -
     if isinstance(prior, PatchPrior):
         mixtures = read_mixtures() if prior.file is None else read_mixtures(prior.file)
         mixture = mixtures.of_spacing(voxels.grid.spacing)
-        patches = Patches(voxels, mixture.size)
-        return RelativePrior(BoundPatches(patches, mixture, prior.strength, prior.noise), 1.0)
+        operator = PatchOperator(Patches(voxels, mixture.size), mixture, device)
+        return RelativePrior(BoundPatches(operator, prior.strength, prior.noise), 1.0)
     if isinstance(prior, Prior):
         absolute = DevicePrior(prior, voxels, device)
         return RelativePrior(absolute, prior.reference) if prior.reference else absolute

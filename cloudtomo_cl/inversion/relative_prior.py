@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cloudtomo_cl.inversion.bound_prior import BoundPrior, FrozenPrior, NoiseUnits
+from cloudtomo_cl.inversion.terms import Term
 
 
 def mean_extinction(extinction: np.ndarray) -> float:
@@ -72,3 +73,7 @@ class ScaledPrior:
 
     def perturbation(self, random: np.random.Generator, units: NoiseUnits) -> np.ndarray:
         return self.inner.perturbation(random, units) / self.factor
+
+    def term(self, units: NoiseUnits, scale: float = 1.0) -> Term:
+        """See `FrozenPrior`."""
+        return self.inner.term(units, scale / self.factor)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass as plain_dataclass
 from dataclasses import replace
 from typing import Annotated, Literal
@@ -12,28 +11,29 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from cloudtomo_cl.inversion.bound_prior import FrozenPrior, NoiseUnits
+from cloudtomo_cl.inversion.bound_prior import FrozenPrior
+from cloudtomo_cl.inversion.data_term import DataTerm, Force
 from cloudtomo_cl.inversion.jacobian_average import JacobianAverage
 from cloudtomo_cl.inversion.objective import cost_of_independent, noise_of
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
 from cloudtomo_cl.inversion.solvers.blas import with_one_blas_thread
+from cloudtomo_cl.inversion.solvers.conjugate_gradients import minimised
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
 from cloudtomo_cl.inversion.solvers.state import not_saved, of_any_length
+from cloudtomo_cl.inversion.terms import term_of
 from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, WIDENED, standard_errors
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import Count
 from cloudtomo_cl.scene.scene import NotNegative, Positive
 from cloudtomo_cl.transport.derivatives import table_footprint
-from cloudtomo_cl.transport.jacobian import Jacobian, jacobian_footprint
+from cloudtomo_cl.transport.jacobian import jacobian_footprint
 from cloudtomo_cl.transport.radiance import Rendering, pooled
 
 _LOGGER = logging.getLogger(__name__)
 # Share of a predicted change of a pixel that is taken for the prediction's error.
 _TANGENT_ERROR = 0.1
-# Of L-BFGS-B's memory.
-_CORRECTIONS = 20
 # How often a step is minimised again because the cloud's mean extinction has changed, by more than this share.
 _RESCALINGS, _SETTLED_SCALE = 4, 0.1
 
@@ -177,16 +177,17 @@ class GaussNewton:
         misfit = _misfit(problem, state)
         # While the cloud is wrong, gains and motions of the views must not explain what it does not.
         calibration = problem.active.calibration.in_unit(max(problem.active.unit, float(np.mean(weights * misfit**2))))
-        model = _Model(
-            jacobian,
-            lambda residual: weights * calibration(residual, state.image),
-            misfit,
-            state.extinction,
-            curvature,
-            self.damping * max(0.5 ** (state.iterations - 1), 0.1),
-            problem.units(state.modelled_noise(problem)),
-        )
-        extinction = model.minimised(state.extinction, prior, self.inner_iterations)
+        damping = self.damping * max(0.5 ** (state.iterations - 1), 0.1)
+        device = problem.operator.device
+        force = Force(weights, calibration, state.image, device)
+        data = DataTerm(jacobian, force, misfit, state.extinction, damping * curvature, device)
+        units = problem.units(state.modelled_noise(problem))
+
+        def least(begin: np.ndarray, prior: FrozenPrior) -> np.ndarray:
+            stiff = curvature * (1 + damping) + prior.curvature(begin, units) + LEAST_CURVATURE * curvature.mean()
+            return minimised([data, term_of(prior, units, device)], begin, stiff, self.inner_iterations, device)
+
+        extinction = least(state.extinction, prior)
         scale = mean_extinction(state.extinction)
         for _ in range(_RESCALINGS):
             # A prior that measures a cloud by its own extinction has the start's: that may be far from this cloud's.
@@ -194,9 +195,9 @@ class GaussNewton:
             if abs(scale - before) <= _SETTLED_SCALE * before:
                 break
             prior = problem.prior.frozen(extinction, state.iterations - 1)
-            extinction = model.minimised(extinction, prior, self.inner_iterations)
+            extinction = least(extinction, prior)
         predicted = jacobian @ (extinction - state.extinction)
-        motions = calibration.motions(model.residual + predicted, state.image)
+        motions = calibration.motions(misfit + predicted, state.image)
         predicted = predicted + calibration.change(motions - state.motions)
         lag = state.lag + noise_of((_TANGENT_ERROR * predicted) ** 2, weights)
         return replace(state, extinction=extinction, image=state.image + predicted, lag=lag, motions=motions)
@@ -234,53 +235,6 @@ class GaussNewton:
             draws,
             seed,
         )
-
-
-@plain_dataclass(frozen=True, eq=False)
-class _Model:
-    """The quadratic model of the data term, damped, near an extinction.
-
-    Attributes
-    ----------
-    jacobian : shape (pixels, voxels)
-    force : from residuals, the derivative of the data term with respect to the modelled image, shape (pixels,)
-    residual : modelled minus measured image at `start`, shape (pixels,)
-    start : km^-1, shape (voxels,)
-    curvature : the data term's, its second derivative's diagonal, shape (voxels,)
-    damping : in shares of it
-    units : what the prior is multiplied with
-    """
-
-    jacobian: Jacobian
-    force: Callable[[np.ndarray], np.ndarray]
-    residual: np.ndarray
-    start: np.ndarray
-    curvature: np.ndarray
-    damping: float
-    units: NoiseUnits
-
-    def minimised(self, extinction: np.ndarray, prior: FrozenPrior, iterations: int) -> np.ndarray:
-        """The extinction that makes model and prior least, found from another, km^-1, shape (voxels,)."""
-        from scipy.optimize import minimize
-
-        stiff = self.curvature * (1 + self.damping) + prior.curvature(extinction, self.units)
-        scale = 1 / np.sqrt(stiff + LEAST_CURVATURE * self.curvature.mean())
-
-        def value_and_gradient(scaled: np.ndarray) -> tuple[float, np.ndarray]:
-            values = scaled * scale
-            change = values - self.start
-            misfit = self.residual + self.jacobian @ change
-            force = self.force(misfit)
-            of_prior, prior_gradient = prior.value_and_gradient(values, self.units)
-            held = self.damping * self.curvature * change
-            gradient = self.jacobian.rmatvec(force) + held + prior_gradient
-            return 0.5 * float(misfit @ force + held @ change) + of_prior, gradient * scale
-
-        options = {"maxiter": iterations, "maxcor": _CORRECTIONS}
-        bounds = [(0.0, None)] * len(extinction)
-        begin = extinction / scale
-        found = minimize(value_and_gradient, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-        return np.maximum(found.x * scale, 0.0)
 
 
 def tail_rate(iteration: int) -> float:

@@ -1,0 +1,114 @@
+"""The data term of a linear model on a device: weighted residuals, what calibration explains of them, and damping."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from cloudtomo_cl.inversion.calibration import Calibration
+from cloudtomo_cl.inversion.vectors import MINIMISE_FEATURES, Vectors
+from cloudtomo_cl.opencl.arrays import DeviceArray
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.transport.jacobian import Jacobian
+
+# Pixels of a view whose sums are made at a time.
+_PIXELS_OF_PART = 64
+
+
+class Force:
+    """Weighted residuals without what the views' gains and motions explain, W C r, on a device.
+
+    Parameters
+    ----------
+    weights : W, shape (pixels,)
+    calibration : C
+    image : that gains multiply, shape (pixels,)
+    device : where to compute
+    """
+
+    def __init__(self, weights: np.ndarray, calibration: Calibration, image: np.ndarray, device: Device) -> None:
+        self._device, self._pixels = device, len(weights)
+        self._weights = device.array(weights.astype(np.float32))
+        basis, matrix = calibration.explained(image)
+        self._basis_count = basis.shape[1]
+        self._view = device.constant(calibration.view.astype(np.uint32))
+        self._basis = device.constant(basis.astype(np.float32))
+        self._weighted = device.constant((weights[:, None] * basis).astype(np.float32))
+        self._matrix = device.constant(matrix.astype(np.float32))
+        self._views = len(matrix) // self._basis_count if self._basis_count else 0
+        self._fitted = device.zeros(max(len(matrix), 1), np.float32)
+        # Views in parts, which are added in their order.
+        order = np.argsort(calibration.view, kind="stable")
+        sizes = np.bincount(calibration.view, minlength=self._views)
+        parts = -(-sizes // _PIXELS_OF_PART)
+        starts = [np.arange(count) * _PIXELS_OF_PART + first for count, first in zip(parts, np.cumsum(sizes) - sizes)]
+        self._parts = int(parts.sum())
+        self._part_start = device.constant(np.concatenate([*starts, [len(order)]]).astype(np.uint32))
+        self._first_part = device.constant(np.concatenate([[0], np.cumsum(parts)]).astype(np.uint32))
+        self._order = device.constant(order.astype(np.uint32))
+        self._sums = device.zeros(max(self._parts * self._basis_count, 1), np.float32)
+
+    def of(self, residual: DeviceArray, result: DeviceArray) -> None:
+        """Makes `result` of a residual; both have the shape (pixels,)."""
+        if self._basis_count:
+            self._launch(
+                "sum_basis", self._parts * self._basis_count, part_count=self._parts, part_start=self._part_start,
+                pixels=self._order, weighted_basis=self._weighted, residual=residual, sums=self._sums,
+            )  # fmt: skip
+            self._launch(
+                "fit_views", self._views * self._basis_count, view_count=self._views, first_part=self._first_part,
+                sums=self._sums, matrix=self._matrix, fitted=self._fitted,
+            )  # fmt: skip
+        self._launch(
+            "weigh_residual", self._pixels, pixel_count=self._pixels, view=self._view, basis=self._basis,
+            fitted=self._fitted, weights=self._weights, residual=residual, result=result,
+        )  # fmt: skip
+
+    def _launch(self, name: str, work_items: int, **arguments: Any) -> None:
+        kernel = self._device.kernel("minimise", name, MINIMISE_FEATURES)
+        self._device.launch(kernel, work_items, basis_count=self._basis_count, **arguments)
+
+
+class DataTerm:
+    """1/2 r^T W C r + 1/2 (x - start)^T D (x - start), r = residual + J (x - start); see `Term`.
+
+    Parameters
+    ----------
+    jacobian : J, shape (pixels, voxels)
+    force : W C
+    residual : modelled minus measured image at the start, shape (pixels,)
+    start : shape (voxels,)
+    damping : D's diagonal, shape (voxels,)
+    """
+
+    quadratic: ClassVar[bool] = True
+
+    def __init__(
+        self, jacobian: Jacobian, force: Force, residual: np.ndarray, start: np.ndarray, damping: np.ndarray,
+        device: Device,
+    ) -> None:  # fmt: skip
+        self._jacobian, self._force = jacobian, force
+        self._vectors, self._pixels = Vectors(device, len(start)), Vectors(device, len(residual))
+        self._residual, self._start = self._pixels.of(residual), self._vectors.of(start)
+        self._damping = self._vectors.of(damping)
+        self._change, self._transposed = self._vectors.zeros(), self._vectors.zeros()
+        self._image, self._weighed = self._pixels.zeros(), self._pixels.zeros()
+
+    def add_gradient(self, x: DeviceArray, result: DeviceArray) -> None:
+        self._vectors.launch("find_change", x=x, start=self._start, result=self._change)
+        self._jacobian.times(self._change, self._image)
+        self._pixels.add(1.0, self._residual, self._image)
+        self._add(self._change, result)
+
+    def add_product(self, x: DeviceArray, result: DeviceArray) -> None:
+        self._jacobian.times(x, self._image)
+        self._add(x, result)
+
+    def _add(self, change: DeviceArray, result: DeviceArray) -> None:
+        """Adds what follows from the image and a change of the extinction."""
+        self._force.of(self._image, self._weighed)
+        self._jacobian.transposed(self._weighed, self._transposed)
+        self._vectors.launch(
+            "add_damped", transposed=self._transposed, stiffness=self._damping, change=change, result=result
+        )

@@ -1,0 +1,213 @@
+"""The patch prior's kernels (patches.cl): components of patches, and the quadratic function that they make together."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from cloudtomo_cl.inversion.mixture import Mixture
+from cloudtomo_cl.inversion.patches import Patches
+from cloudtomo_cl.opencl.arrays import DeviceArray
+from cloudtomo_cl.opencl.device import Device, device_errors
+
+# Voxels of a tile of the stencil, in a row along z; and what stands for a patch that holds no voxel of the mask.
+_LANES, _NO_PATCH = 8, 65535
+
+
+class PatchOperator:
+    """What does not change from step to step.
+
+    Parameters
+    ----------
+    patches : of the voxels
+    mixture : of patches of this size
+    device : where to compute
+    """
+
+    @device_errors("the prior")
+    def __init__(self, patches: Patches, mixture: Mixture, device: Device) -> None:
+        self.patches, self.mixture, self.device = patches, mixture, device
+        mask = patches.voxels.mask
+        self.shape, self.voxels = mask.shape, len(patches.voxels)
+        margins = np.array(mixture.size) - 1
+        tiles_along = -(-mask.shape[2] // _LANES)
+        self.halo = tuple(np.array([*mask.shape[:2], tiles_along * _LANES]) + 2 * margins)
+        at = np.argwhere(mask)
+        constant = device.constant
+        self.voxel, self.centre = constant(_ushort4(at)), constant(_ushort4(patches.centres))
+        self.place = constant(np.ravel_multi_index(tuple((at + margins).T), self.halo).astype(np.uint32))
+        # Tiles that hold a voxel of the mask, and its numbers.
+        numbers = np.full((*mask.shape[:2], tiles_along * _LANES), -1, np.int32)
+        numbers[:, :, : mask.shape[2]][mask] = np.arange(self.voxels)
+        self._numbers = numbers.reshape(-1, _LANES)
+        chosen = np.flatnonzero((self._numbers >= 0).any(axis=1))
+        self._numbers = self._numbers[chosen]
+        x, y, z = np.unravel_index(chosen, (*mask.shape[:2], tiles_along))
+        self._corners = _ushort4(np.column_stack([x, y, z * _LANES]))
+        self._all_corners = constant(self._corners)
+        self.values = device.zeros(self.halo, np.float32)
+        self._guess = device.empty(self.shape, np.uint16)
+        self._guess.fill(_NO_PATCH)
+        self.offsets = int(np.prod(2 * np.array(mixture.size) - 1))
+        self._features = tuple(
+            f"{name} {value}"
+            for name, value in zip(
+                ("PATCH_X", "PATCH_Y", "PATCH_Z", "LANES", "NO_PATCH"), (*mixture.size, _LANES, _NO_PATCH)
+            )
+        )
+
+    def launch(self, name: str, work_items: int, **arguments: Any) -> None:
+        """Runs one of the kernels."""
+        if work_items:
+            self.device.launch(self.device.kernel("patches", name, self._features), work_items, **arguments)
+
+    def spread(self, x: DeviceArray, scale: float = 1.0) -> None:
+        """Puts scale times the voxels' values where kernels read them."""
+        self.launch(
+            "spread_values", self.voxels, voxel_count=self.voxels, place=self.place, x=x, scale=scale,
+            values=self.values,
+        )  # fmt: skip
+
+    def chosen_components(self, u: DeviceArray, noise: float) -> tuple[DeviceArray, float]:
+        """The likeliest component of each patch, on the grid, and what all patches together cost.
+
+        u : extinction in units of s; it is spread
+        noise : standard deviation that patches are known to, in units of s
+        """
+        self.spread(u)
+        device, mixture, count = self.device, self.mixture, len(self.patches)
+        # The last ones are a good guess, and no more.
+        component = self._guess.copy()
+        cost = device.empty(count, np.float32)
+        whitening, means = mixture.whitening(noise)
+        padded = -(-self.patches.values // _LANES) * _LANES
+        rows = np.zeros((len(mixture), self.patches.values, padded), np.float32)
+        rows[:, :, : self.patches.values] = whitening
+        self.launch(
+            "choose_components", count, patch_count=count, centre=self.centre, shape=self.shape, halo=self.halo,
+            values=self.values, component_count=len(mixture), whitening=device.constant(rows),
+            white_means=device.constant(means.astype(np.float32)),
+            constants=device.constant(mixture.constants(noise).astype(np.float32)), component=component, cost=cost,
+        )  # fmt: skip
+        self._guess = component
+        return component, float(np.sum(cost.get(), dtype=np.float64))
+
+    def tiles_near_cloud(self, component: DeviceArray) -> tuple[np.ndarray, np.ndarray]:
+        """Those with a voxel in a patch that has cloud: their first voxels, and their voxels' numbers."""
+        reached = self.device.empty(len(self._corners), np.uint8)
+        self.launch(
+            "find_tiles", len(self._corners), tile_count=len(self._corners), corner=self._all_corners,
+            shape=self.shape, component=component, reached=reached,
+        )  # fmt: skip
+        chosen = np.flatnonzero(reached.get())
+        return self._corners[chosen], self._numbers[chosen]
+
+
+class PatchQuadratic:
+    """The sum of all patches' quadratic forms, with the components that are likeliest at u, less a clear sky's.
+
+    Parameters
+    ----------
+    operator : of the voxels
+    u : shape (voxels,)
+    noise : standard deviation that patches are known to
+
+    Attributes
+    ----------
+    value : at u
+    """
+
+    @device_errors("the prior")
+    def __init__(self, operator: PatchOperator, u: np.ndarray, noise: float) -> None:
+        self._operator, self._at = operator, u
+        device = operator.device
+        self._component, self.value = operator.chosen_components(device.array(u.astype(np.float32)), noise)
+        precisions = operator.mixture.precisions(noise)
+        corners, numbers = operator.tiles_near_cloud(self._component)
+        self._tiles = len(corners)
+        self._corner, self._number = device.constant(corners), device.constant(numbers)
+        self._stencil = device.empty(max(self._tiles, 1) * operator.offsets * _LANES, np.float32)
+        columns = operator.offsets // (2 * operator.mixture.size[2] - 1)
+        operator.launch(
+            "assemble_stencil", self._tiles * columns * _LANES, tile_count=self._tiles, corner=self._corner,
+            number=self._number, shape=operator.shape, component=self._component,
+            precision=device.constant(precisions.astype(np.float32)), stencil=self._stencil,
+        )  # fmt: skip
+        self._sum_patches(precisions)
+
+    def _sum_patches(self, precisions: np.ndarray) -> None:
+        operator, device = self._operator, self._operator.device
+        slopes = np.einsum("kij,kj->ki", precisions, operator.mixture.means)
+        diagonals = np.diagonal(precisions, axis1=1, axis2=2)
+        self._of_means, self._clear, self._diagonal = (device.empty(operator.voxels, np.float32) for _ in range(3))
+        operator.launch(
+            "sum_patches", operator.voxels, voxel_count=operator.voxels, voxel=operator.voxel, shape=operator.shape,
+            component=self._component, slope=device.constant(slopes.astype(np.float32)),
+            diagonal_of=device.constant(np.ascontiguousarray(diagonals, np.float32)), of_means=self._of_means,
+            clear=self._clear, diagonal=self._diagonal,
+        )  # fmt: skip
+
+    @cached_property
+    def components(self) -> np.ndarray:
+        """Of each patch."""
+        return self._component.get()[tuple(self._operator.patches.centres.T)]
+
+    @cached_property
+    def diagonal(self) -> np.ndarray:
+        """Of the second derivative, shape (voxels,)."""
+        return self._diagonal.get().astype(float)
+
+    @cached_property
+    def clear(self) -> np.ndarray:
+        """That of the patches without cloud, whose second derivative it is, shape (voxels,)."""
+        return self._clear.get().astype(float)
+
+    @device_errors("the prior")
+    def add_product(
+        self, x: DeviceArray, result: DeviceArray, factor: float, scale: float = 1.0, means: float = 0.0
+    ) -> None:
+        """Adds factor times the second derivative's product with scale x to a result, shape (voxels,).
+
+        means : 1: the gradient at scale x
+        """
+        operator = self._operator
+        operator.spread(x, scale)
+        operator.launch(
+            "add_stencil_product", self._tiles, tile_count=self._tiles, corner=self._corner, number=self._number,
+            halo=operator.halo, stencil=self._stencil, values=operator.values, factor=factor, result=result,
+        )  # fmt: skip
+        operator.launch(
+            "add_diagonal_product", operator.voxels, voxel_count=operator.voxels, place=operator.place,
+            clear=self._clear, of_means=self._of_means, means=means, values=operator.values, factor=factor,
+            result=result,
+        )  # fmt: skip
+
+    @cached_property
+    def _gradient(self) -> np.ndarray:
+        """At u."""
+        return self._product(self._at, means=1.0)
+
+    def times(self, change: np.ndarray) -> np.ndarray:
+        """The second derivative's product with a vector, shape (voxels,), float64."""
+        return self._product(change, means=0.0)
+
+    def value_and_gradient(self, u: np.ndarray) -> tuple[float, np.ndarray]:
+        """At another u."""
+        change = u - self._at
+        product = self.times(change)
+        return self.value + float((self._gradient + 0.5 * product) @ change), self._gradient + product
+
+    def _product(self, x: np.ndarray, means: float) -> np.ndarray:
+        device = self._operator.device
+        result = device.zeros(len(x), np.float32)
+        self.add_product(device.array(x.astype(np.float32)), result, 1.0, means=means)
+        return result.get().astype(float)
+
+
+def _ushort4(places: np.ndarray) -> np.ndarray:
+    """Places of three numbers as kernels take them."""
+    found = np.zeros((len(places), 4), np.uint16)
+    found[:, :3] = places
+    return found
