@@ -25,10 +25,14 @@ class Force:
     calibration : C
     image : that gains multiply, shape (pixels,)
     device : where to compute
+
+    Attributes
+    ----------
+    device
     """
 
     def __init__(self, weights: np.ndarray, calibration: Calibration, image: np.ndarray, device: Device) -> None:
-        self._device, self._pixels = device, len(weights)
+        self.device, self._pixels = device, len(weights)
         self._weights = device.array(weights.astype(np.float32))
         basis, matrix = calibration.explained(image)
         self._basis_count = basis.shape[1]
@@ -66,8 +70,8 @@ class Force:
         )  # fmt: skip
 
     def _launch(self, name: str, work_items: int, **arguments: Any) -> None:
-        kernel = self._device.kernel("minimise", name, MINIMISE_FEATURES)
-        self._device.launch(kernel, work_items, basis_count=self._basis_count, **arguments)
+        kernel = self.device.kernel("minimise", name, MINIMISE_FEATURES)
+        self.device.launch(kernel, work_items, basis_count=self._basis_count, **arguments)
 
 
 class DataTerm:
@@ -85,15 +89,21 @@ class DataTerm:
     quadratic: ClassVar[bool] = True
 
     def __init__(
-        self, jacobian: Jacobian, force: Force, residual: np.ndarray, start: np.ndarray, damping: np.ndarray,
-        device: Device,
-    ) -> None:  # fmt: skip
-        self._jacobian, self._force = jacobian, force
+        self, jacobian: Jacobian, force: Force, residual: np.ndarray, start: np.ndarray, damping: np.ndarray
+    ) -> None:
+        self._jacobian, self._force, device = jacobian, force, force.device
         self._vectors, self._pixels = Vectors(device, len(start)), Vectors(device, len(residual))
         self._residual, self._start = self._pixels.of(residual), self._vectors.of(start)
         self._damping = self._vectors.of(damping)
         self._change, self._transposed = self._vectors.zeros(), self._vectors.zeros()
         self._image, self._weighed = self._pixels.zeros(), self._pixels.zeros()
+
+    @property
+    def slope(self) -> np.ndarray:
+        """Its gradient at the start, shape (voxels,), float64."""
+        gradient = self._vectors.zeros()
+        self.add_gradient(self._start, gradient)
+        return gradient.get().astype(float)
 
     def add_gradient(self, x: DeviceArray, result: DeviceArray) -> None:
         self._vectors.launch("find_change", x=x, start=self._start, result=self._change)

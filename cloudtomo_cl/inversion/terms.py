@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar, Protocol
+
+import numpy as np
 
 from cloudtomo_cl.inversion.vectors import Vectors
 from cloudtomo_cl.opencl.arrays import DeviceArray
@@ -52,3 +55,54 @@ def term_of(prior: FrozenPrior, units: NoiseUnits, device: Device) -> Term:
     """A prior as one of the terms that a step minimises: on the device where it can."""
     made = getattr(prior, "term", None)
     return HostTerm(prior, units, device) if made is None else made(units)
+
+
+class HostStiffness:
+    """The Gaussian part of a prior that knows arrays of the host alone, around 0."""
+
+    quadratic: ClassVar[bool] = True
+
+    def __init__(self, prior: FrozenPrior, units: NoiseUnits, device: Device) -> None:
+        self._prior, self._units, self._device = prior, units, device
+
+    def add_gradient(self, x: DeviceArray, result: DeviceArray) -> None:
+        self.add_product(x, result)
+
+    def add_product(self, x: DeviceArray, result: DeviceArray) -> None:
+        product = self._prior.stiffness(x.get().astype(float)[:, None], self._units)[:, 0]
+        vectors = Vectors(self._device, len(product))
+        vectors.add(1.0, vectors.of(product), result)
+
+
+def stiffness_of(prior: FrozenPrior, units: NoiseUnits, device: Device) -> Term:
+    """A prior's second derivative as that of a term, as far as it is Gaussian."""
+    term = term_of(prior, units, device)
+    return term if term.quadratic else HostStiffness(prior, units, device)
+
+
+class Around:
+    """The function with the second derivatives of some terms, and a slope at a centre.
+
+    Parameters
+    ----------
+    terms : quadratic
+    centre : shape (unknowns,)
+    slope : there
+    device : where to compute
+    """
+
+    quadratic: ClassVar[bool] = True
+
+    def __init__(self, terms: Sequence[Term], centre: np.ndarray, slope: np.ndarray, device: Device) -> None:
+        self._terms, self._vectors = terms, Vectors(device, len(centre))
+        self._centre, self._slope = self._vectors.of(centre), self._vectors.of(slope)
+        self._change = self._vectors.zeros()
+
+    def add_gradient(self, x: DeviceArray, result: DeviceArray) -> None:
+        self._vectors.launch("find_change", x=x, start=self._centre, result=self._change)
+        self.add_product(self._change, result)
+        self._vectors.add(1.0, self._slope, result)
+
+    def add_product(self, x: DeviceArray, result: DeviceArray) -> None:
+        for term in self._terms:
+            term.add_product(x, result)

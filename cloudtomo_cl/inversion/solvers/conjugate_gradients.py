@@ -15,14 +15,19 @@ from cloudtomo_cl.opencl.device import Device, device_errors
 # length by this factor.
 _AIM, _LARGEST_CHANGE = 1.3, 2.0
 # Ended when so many steps in a row have gained less than this share of all that was gained.
-_TOLERANCE, _PATIENCE = 1e-7, 2
+TOLERANCE, _PATIENCE = 1e-7, 2
 # A step that goes farther than a term of unknown form was looked at: at most so many times as far.
 _EXTRAPOLATION = 2.0
 
 
 @device_errors("the minimisation")
 def minimised(
-    terms: Sequence[Term], start: np.ndarray, stiffness: np.ndarray, iterations: int, device: Device
+    terms: Sequence[Term],
+    start: np.ndarray,
+    stiffness: np.ndarray,
+    iterations: int,
+    device: Device,
+    tolerance: float = TOLERANCE,
 ) -> np.ndarray:
     """The x >= 0 that makes a sum of terms least, as far as so many products come.
 
@@ -39,12 +44,13 @@ def minimised(
     stiffness : about the second derivative's diagonal, positive, shape (unknowns,)
     iterations : at most
     device : where to compute
+    tolerance : share of all that was gained that two iterations in a row gain in the end
 
     Returns
     -------
     shape (unknowns,), float64
     """
-    return _Descent(terms, start, stiffness, device).run(iterations)
+    return _Descent(terms, start, stiffness, device).run(iterations, tolerance)
 
 
 class _Descent:
@@ -61,7 +67,7 @@ class _Descent:
             term.add_gradient(self._x, self._linear)
         self._gradient = self._whole_gradient()
 
-    def run(self, iterations: int) -> np.ndarray:
+    def run(self, iterations: int, tolerance: float) -> np.ndarray:
         """See `minimised`."""
         length, conjugation, gained, poor = 1.0, 0.0, 0.0, 0
         for _ in range(iterations):
@@ -77,7 +83,7 @@ class _Descent:
             self._step(taken)
             gain = -taken * (slope + 0.5 * taken * curvature)
             gained += gain
-            poor = poor + 1 if gain <= _TOLERANCE * gained else 0
+            poor = poor + 1 if gain <= tolerance * gained else 0
             if poor == _PATIENCE:
                 break
             length *= min(max(_AIM * best, 1 / _LARGEST_CHANGE), _LARGEST_CHANGE)
@@ -103,13 +109,12 @@ class _Descent:
     def _secant(self) -> DeviceArray:
         """The product, and how much the other terms' gradient changes along the change."""
         vectors = self._vectors
-        there, image = self._x.copy(), self._product.copy()
+        there, image, gradient = self._x.copy(), self._product.copy(), vectors.zeros()
         vectors.add(1.0, self._change, there)
-        for at, sign in ((there, 1.0), (self._x, -1.0)):
-            gradient = vectors.zeros()
-            for term in self._others:
-                term.add_gradient(at, gradient)
-            vectors.add(sign, gradient, image)
+        for term in self._others:
+            term.add_gradient(there, gradient)
+        vectors.add(1.0, gradient, image)
+        vectors.add(-1.0, self._of_others, image)
         return image
 
     def _step(self, length: float) -> None:
@@ -121,9 +126,10 @@ class _Descent:
     def _whole_gradient(self) -> DeviceArray:
         if not self._others:
             return self._linear
-        gradient = self._linear.copy()
+        gradient, self._of_others = self._linear.copy(), self._vectors.zeros()
         for term in self._others:
-            term.add_gradient(self._x, gradient)
+            term.add_gradient(self._x, self._of_others)
+        self._vectors.add(1.0, self._of_others, gradient)
         return gradient
 
     def _conjugation(self, curvature: float) -> float:

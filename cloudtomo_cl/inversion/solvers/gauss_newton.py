@@ -21,7 +21,7 @@ from cloudtomo_cl.inversion.solvers.blas import with_one_blas_thread
 from cloudtomo_cl.inversion.solvers.conjugate_gradients import minimised
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
 from cloudtomo_cl.inversion.solvers.state import not_saved, of_any_length
-from cloudtomo_cl.inversion.terms import term_of
+from cloudtomo_cl.inversion.terms import stiffness_of, term_of
 from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, WIDENED, standard_errors
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.memory import Footprint
@@ -180,7 +180,7 @@ class GaussNewton:
         damping = self.damping * max(0.5 ** (state.iterations - 1), 0.1)
         device = problem.operator.device
         force = Force(weights, calibration, state.image, device)
-        data = DataTerm(jacobian, force, misfit, state.extinction, damping * curvature, device)
+        data = DataTerm(jacobian, force, misfit, state.extinction, damping * curvature)
         units = problem.units(state.modelled_noise(problem))
 
         def least(begin: np.ndarray, prior: FrozenPrior) -> np.ndarray:
@@ -212,28 +212,25 @@ class GaussNewton:
         if not state.iterations or not active.standard_error.any():
             return None
         jacobian = _derivatives_of(problem, state, seed).jacobian
-        units = problem.units(state.modelled_noise(problem))
-        calibration = active.calibration
+        units, device = problem.units(state.modelled_noise(problem)), problem.operator.device
+        calibration, weights = active.calibration, problem.weights
         misfit = _misfit(problem, state) + jacobian @ (state.estimate - state.extinction)
-        force = problem.weights * calibration(misfit, image)
         prior = problem.prior.frozen(state.estimate, state.iterations)
-        gradient = jacobian.rmatvec(force) + prior.value_and_gradient(state.estimate, units)[1]
+        data = DataTerm(
+            jacobian, Force(weights, calibration, image, device), misfit, state.estimate, np.zeros_like(state.estimate)
+        )
+        gradient = data.slope + prior.value_and_gradient(state.estimate, units)[1]
         deviation = np.sqrt(active.variance + state.variance)
 
-        def noise(random: np.random.Generator) -> np.ndarray:
-            return calibration.drawn(random, image) + deviation * random.standard_normal(len(image))
+        def slope_of_noise(random: np.random.Generator) -> np.ndarray:
+            noise = calibration.drawn(random, image) + deviation * random.standard_normal(len(image))
+            return jacobian.rmatvec(weights * calibration(noise, image)).astype(float)
 
+        curvature = jacobian.curvature(weights)
+        stiffness = curvature + prior.curvature(state.estimate, units) + LEAST_CURVATURE * curvature.mean()
+        terms = [data, stiffness_of(prior, units, device)]
         return WIDENED * standard_errors(
-            jacobian,
-            problem.weights,
-            noise,
-            lambda residual: calibration(residual, image),
-            prior,
-            units,
-            state.estimate,
-            gradient,
-            draws,
-            seed,
+            terms, slope_of_noise, prior, units, state.estimate, gradient, stiffness, draws, seed, device
         )
 
 
