@@ -67,6 +67,21 @@ __kernel void add_vector(ADD_VECTOR_PARAMETERS)
         result[index] += factor * x[index];
 }
 
+/* A vector's numbers in a larger array, and back. */
+__kernel void spread_values(SPREAD_VALUES_PARAMETERS)
+{
+    const uint index = get_global_id(0);
+    if (index < count)
+        values[place[index]] = factor * x[index];
+}
+
+__kernel void add_gathered(ADD_GATHERED_PARAMETERS)
+{
+    const uint index = get_global_id(0);
+    if (index < count)
+        result[index] += factor * values[place[index]];
+}
+
 /* x - start. */
 __kernel void find_change(FIND_CHANGE_PARAMETERS)
 {

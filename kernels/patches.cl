@@ -49,13 +49,6 @@ inline float sum_of(float8 lanes)
     return two.x + two.y;
 }
 
-__kernel void spread_values(SPREAD_VALUES_PARAMETERS)
-{
-    const uint index = get_global_id(0);
-    if (index < voxel_count)
-        values[place[index]] = scale * x[index];
-}
-
 /* The component that makes minus a patch's log density least, and how much more that is than for a clear one's mean. */
 __kernel void choose_components(CHOOSE_COMPONENTS_PARAMETERS)
 {

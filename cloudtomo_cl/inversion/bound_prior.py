@@ -7,6 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
+from cloudtomo_cl.inversion.terms import Term
+
 
 @dataclass(frozen=True)
 class NoiseUnits:
@@ -30,7 +32,10 @@ class NoiseUnits:
 
 
 class FrozenPrior(Protocol):
-    """A prior for the voxels of one stage as one step minimises with it: all that follows the estimate stands still."""
+    """A prior for the voxels of one stage as one step minimises with it: all that follows the estimate stands still.
+
+    `DevicePrior`s are computed on the device; of others, as users write them, gradients are asked for on the host.
+    """
 
     def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
         """In the unit of the data term; arrays of shape (voxels,), float64."""
@@ -46,6 +51,14 @@ class FrozenPrior(Protocol):
 
     def perturbation(self, random: np.random.Generator, units: NoiseUnits) -> np.ndarray:
         """A draw from the normal distribution whose covariance is N times `stiffness`, shape (voxels,)."""
+        ...
+
+
+class DevicePrior(FrozenPrior, Protocol):
+    """A prior that is a term of what is minimised on a device."""
+
+    def term(self, units: NoiseUnits, scale: float = 1.0) -> Term:
+        """The function of scale x."""
         ...
 
 

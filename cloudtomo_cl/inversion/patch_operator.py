@@ -9,6 +9,7 @@ import numpy as np
 
 from cloudtomo_cl.inversion.mixture import Mixture
 from cloudtomo_cl.inversion.patches import Patches
+from cloudtomo_cl.inversion.vectors import Vectors
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, device_errors
 
@@ -31,6 +32,7 @@ class PatchOperator:
         self.patches, self.mixture, self.device = patches, mixture, device
         mask = patches.voxels.mask
         self.shape, self.voxels = mask.shape, len(patches.voxels)
+        self.vectors = Vectors(device, self.voxels)
         margins = np.array(mixture.size) - 1
         tiles_along = -(-mask.shape[2] // _LANES)
         self.halo = tuple(np.array([*mask.shape[:2], tiles_along * _LANES]) + 2 * margins)
@@ -65,10 +67,7 @@ class PatchOperator:
 
     def spread(self, x: DeviceArray, scale: float = 1.0) -> None:
         """Puts scale times the voxels' values where kernels read them."""
-        self.launch(
-            "spread_values", self.voxels, voxel_count=self.voxels, place=self.place, x=x, scale=scale,
-            values=self.values,
-        )  # fmt: skip
+        self.vectors.launch("spread_values", factor=scale, place=self.place, x=x, values=self.values)
 
     def chosen_components(self, u: DeviceArray, noise: float) -> tuple[DeviceArray, float]:
         """The likeliest component of each patch, on the grid, and what all patches together cost.

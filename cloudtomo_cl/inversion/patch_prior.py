@@ -120,8 +120,8 @@ class FrozenPatches:
         return np.sqrt(units.weighted * self._weight * units.both) * (of_clear + patches.on_voxels(sums))
 
     def term(self, units: NoiseUnits, scale: float = 1.0) -> PatchTerm:
-        """See `FrozenPrior`."""
-        vectors = Vectors(self._operator.device, len(self._slope))
+        """See `DevicePrior`."""
+        vectors = self._operator.vectors
         return PatchTerm(self._quadratic, vectors, vectors.of(self._slope), units.weighted * self._weight, scale)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol, runtime_checkable
+from typing import Annotated, Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -16,6 +16,7 @@ from cloudtomo_cl.inversion.patch_operator import PatchOperator
 from cloudtomo_cl.inversion.patch_prior import BoundPatches
 from cloudtomo_cl.inversion.patches import Patches
 from cloudtomo_cl.inversion.relative_prior import RelativePrior
+from cloudtomo_cl.inversion.vectors import Vectors
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.arrays import DeviceArray
@@ -133,7 +134,7 @@ def bound_prior(prior: AnyPrior | Regulariser, voxels: Voxels, device: Device) -
         operator = PatchOperator(Patches(voxels, mixture.size), mixture, device)
         return RelativePrior(BoundPatches(operator, prior.strength, prior.noise), 1.0)
     if isinstance(prior, Prior):
-        absolute = DevicePrior(prior, voxels, device)
+        absolute = BoundSmoothness(prior, voxels, device)
         return RelativePrior(absolute, prior.reference) if prior.reference else absolute
     if not isinstance(prior, Regulariser):
         raise DataError(
@@ -177,7 +178,7 @@ class _OwnPrior:
         return np.zeros(len(self._voxels))
 
 
-class DevicePrior:
+class BoundSmoothness:
     """`Prior` for the voxels of one stage, by the kernels of prior.cl."""
 
     def __init__(self, prior: Prior, voxels: Voxels, device: Device) -> None:
@@ -202,6 +203,10 @@ class DevicePrior:
         products = [roughness(roughness(self._on_grid(column)))[self._voxels.mask] for column in columns.T]
         return units.weighted * self._prior.smoothness * np.column_stack(products)
 
+    def term(self, units: NoiseUnits, scale: float = 1.0) -> PriorTerm:
+        """See `DevicePrior`."""
+        return PriorTerm(self._operator, self._voxels.mask, units, scale)
+
     def perturbation(self, random: np.random.Generator, units: NoiseUnits) -> np.ndarray:
         draw = roughness(random.standard_normal(self._voxels.mask.shape))[self._voxels.mask]
         return np.sqrt(units.weighted * self._prior.smoothness * units.both) * draw
@@ -210,6 +215,35 @@ class DevicePrior:
         full = np.zeros(self._voxels.mask.shape)
         full[self._voxels.mask] = values
         return full
+
+
+class PriorTerm:
+    """A `Prior` as a function on the device; see `Term`.
+
+    Parameters
+    ----------
+    operator : of the prior
+    mask : where unknowns are
+    units : what the prior is multiplied with
+    scale : from the unknowns to extinctions as the prior's numbers are said for
+    """
+
+    quadratic: ClassVar[bool] = False
+
+    def __init__(self, operator: PriorOperator, mask: np.ndarray, units: NoiseUnits, scale: float) -> None:
+        self._operator, self._units, self._scale = operator, units, scale
+        places = np.flatnonzero(mask)
+        self._vectors = Vectors(operator.device, len(places))
+        self._place = operator.device.constant(places.astype(np.uint32))
+        self._extinction = operator.device.zeros(operator.shape, np.float32)
+
+    def add_gradient(self, x: DeviceArray, result: DeviceArray) -> None:
+        self._vectors.launch("spread_values", factor=self._scale, place=self._place, x=x, values=self._extinction)
+        gradient = self._operator.gradient(self._extinction, self._units.weighted, self._units.measured)
+        self._vectors.launch("add_gathered", factor=self._scale, place=self._place, values=gradient, result=result)
+
+    def add_product(self, x: DeviceArray, result: DeviceArray) -> None:
+        raise NotImplementedError("the prior is not quadratic")
 
 
 class PriorOperator:
@@ -239,6 +273,19 @@ class PriorOperator:
         weight : N, factor of smoothness and monotonicity
         noise : n, factor of the sparsity
         """
+        prior = self.prior
+        gradient = self.gradient(extinction, weight, noise)
+        smooth = np.square(self._work.get(), dtype=np.float64).sum()
+        monotone = self._value.get().sum(dtype=np.float64)
+        value = weight * (prior.smoothness / 2 * smooth + prior.monotonicity * monotone)
+        if noise * prior.sparsity > 0:
+            b = extinction.get().astype(float)
+            value += noise * prior.sparsity * float(np.sum(b / (b + prior.sparsity_scale)))
+        return float(value), gradient
+
+    @device_errors("the prior")
+    def gradient(self, extinction: DeviceArray, weight: float = 1.0, noise: float = 0.0) -> DeviceArray:
+        """As `value_and_gradient`, without the value; it stays on the device."""
         prior, shape = self.prior, self.shape
         self._launch("laplacian", extinction, shape, self._work)
         self._launch("laplacian", self._work, shape, self._smooth)
@@ -260,13 +307,7 @@ class PriorOperator:
             sparsity_scale=prior.sparsity_scale,
             gradient=gradient,
         )
-        smooth = np.square(self._work.get(), dtype=np.float64).sum()
-        monotone = self._value.get().sum(dtype=np.float64)
-        value = weight * (prior.smoothness / 2 * smooth + prior.monotonicity * monotone)
-        if noise * prior.sparsity > 0:
-            b = extinction.get().astype(float)
-            value += noise * prior.sparsity * float(np.sum(b / (b + prior.sparsity_scale)))
-        return float(value), gradient
+        return gradient
 
     def of_array(self, extinction: np.ndarray, weight: float, noise: float) -> tuple[float, np.ndarray]:
         """As `value_and_gradient`, of an array on the host; the gradient is on the host, too."""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
-from cloudtomo_cl.inversion.bound_prior import BoundPrior, FrozenPrior, NoiseUnits
+from cloudtomo_cl.inversion.bound_prior import BoundPrior, DevicePrior, FrozenPrior, NoiseUnits
 from cloudtomo_cl.inversion.terms import Term
 
 
@@ -75,5 +76,6 @@ class ScaledPrior:
         return self.inner.perturbation(random, units) / self.factor
 
     def term(self, units: NoiseUnits, scale: float = 1.0) -> Term:
-        """See `FrozenPrior`."""
-        return self.inner.term(units, scale / self.factor)
+        """See `DevicePrior`; the inner one is another."""
+        inner = cast(DevicePrior, self.inner)
+        return inner.term(units, scale / self.factor)

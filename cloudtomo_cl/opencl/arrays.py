@@ -37,6 +37,10 @@ class DeviceArray(Protocol):
         """Makes all values one."""
         ...
 
+    def copy(self) -> DeviceArray:
+        """Another with the same values."""
+        ...
+
     def astype(self, dtype: Any, /) -> DeviceArray:
         """A copy of another type."""
         ...

@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from cloudtomo_cl.opencl.vector_parameters import VECTOR_KERNELS
+
 # What a path needs of the scene: walk/medium.h.
 MEDIUM = (
     "__constant Scene *scene",
@@ -77,15 +79,6 @@ _FAR = (
     "const uint block_count",
     "const __global float *far",  # [pixel block][block]
 )
-_POINT = (
-    "const uint count",
-    "const __global float *x",
-    "const __global float *gradient",
-)
-_HALO = (
-    "const int3 shape",  # of the grid
-    "const int3 halo",  # and with what is around it
-)
 _STEP = (
     "const uint voxel_count",
     "__global float *extinction",  # km^-1
@@ -96,6 +89,7 @@ _STEP = (
     "const float floor_extinction",  # km^-1
 )
 KERNELS: dict[str, tuple[str, ...]] = {
+    **VECTOR_KERNELS,
     "render_paths": (
         *PATHS,
         "__global float *path_radiance",  # sr^-1
@@ -270,140 +264,6 @@ KERNELS: dict[str, tuple[str, ...]] = {
         "const float sparsity",
         "const float sparsity_scale",  # km^-1
         "__global float *gradient",
-    ),
-    "spread_values": (
-        "const uint voxel_count",
-        "const __global uint *place",  # of every voxel of the mask, in the halo
-        "const __global float *x",
-        "const float scale",
-        "__global float *values",  # halo
-    ),
-    "choose_components": (
-        "const uint patch_count",
-        "const __global ushort4 *centre",
-        *_HALO,
-        "const __global float *values",
-        "const uint component_count",
-        "const __global float *whitening",  # [component][axis][value], padded to full lanes
-        "const __global float *white_means",  # [component][axis]
-        "const __global float *constants",  # [component]
-        "__global ushort *component",  # a guess, and the result, by the patch's centre, [x][y][z]
-        "__global float *cost",  # of every patch
-    ),
-    "find_tiles": (
-        "const uint tile_count",
-        "const __global ushort4 *corner",  # of every tile, its first voxel
-        "const int3 shape",
-        "const __global ushort *component",
-        "__global uchar *reached",
-    ),
-    "assemble_stencil": (
-        "const uint tile_count",
-        "const __global ushort4 *corner",
-        "const __global int *number",
-        "const int3 shape",
-        "const __global ushort *component",
-        "const __global float *precision",  # [component][value][value]
-        "__global float *stencil",  # [tile][offset][lane]
-    ),
-    "sum_patches": (
-        "const uint voxel_count",
-        "const __global ushort4 *voxel",
-        "const int3 shape",
-        "const __global ushort *component",
-        "const __global float *slope",  # precision times mean, [component][value]
-        "const __global float *diagonal_of",  # the precision's, [component][value]
-        "__global float *of_means",
-        "__global float *clear",
-        "__global float *diagonal",
-    ),
-    "add_stencil_product": (
-        "const uint tile_count",
-        "const __global ushort4 *corner",
-        "const __global int *number",  # of every tile's voxels, among those of the mask, or -1
-        "const int3 halo",
-        "const __global float *stencil",
-        "const __global float *values",
-        "const float factor",
-        "__global float *result",
-    ),
-    "add_diagonal_product": (
-        "const uint voxel_count",
-        "const __global uint *place",
-        "const __global float *clear",
-        "const __global float *of_means",
-        "const float means",
-        "const __global float *values",
-        "const float factor",
-        "__global float *result",
-    ),
-    "next_change": (
-        *_POINT,
-        "const __global float *scale",
-        "const float conjugation",  # share of the last direction in the next
-        "const float length",
-        "__global float *change",
-    ),
-    "sums_of_change": (
-        *_POINT,
-        "const __global float *change",
-        "const __global float *image",  # the second derivative times the change
-        "__global float *sums",  # [3][part]
-    ),
-    "take_step": (
-        "const uint count",
-        "const float length",
-        "const __global float *change",
-        "const __global float *image",
-        "__global float *x",
-        "__global float *gradient",
-    ),
-    "sums_of_gradient": (
-        *_POINT,
-        "const __global float *scale",
-        "const __global float *image",
-        "__global float *sums",  # [part]
-    ),
-    "add_vector": ("const uint count", "const float factor", "const __global float *x", "__global float *result"),
-    "find_change": (
-        "const uint count",
-        "const __global float *x",
-        "const __global float *start",
-        "__global float *result",
-    ),
-    "add_damped": (
-        "const uint count",
-        "const __global float *transposed",
-        "const __global float *stiffness",
-        "const __global float *change",
-        "__global float *result",
-    ),
-    "sum_basis": (
-        "const uint part_count",
-        "const uint basis_count",
-        "const __global uint *part_start",  # of the pixels' list
-        "const __global uint *pixels",
-        "const __global float *weighted_basis",  # [pixel][basis]
-        "const __global float *residual",
-        "__global float *sums",
-    ),
-    "fit_views": (
-        "const uint view_count",
-        "const uint basis_count",
-        "const __global uint *first_part",  # of every view
-        "const __global float *sums",
-        "const __global float *matrix",  # [view][basis][view][basis]
-        "__global float *fitted",
-    ),
-    "weigh_residual": (
-        "const uint pixel_count",
-        "const uint basis_count",
-        "const __global uint *view",
-        "const __global float *basis",  # [pixel][basis]
-        "const __global float *fitted",
-        "const __global float *weights",
-        "const __global float *residual",
-        "__global float *result",
     ),
     "sgd_step": _STEP,
     "adam_step": (

@@ -183,9 +183,7 @@ class Jacobian(LinearOperator):
         far = self._far_transposed(y, squares=False)
 
         def of_own(target: DeviceArray) -> None:
-            self._launch(
-                "jacobian_transposed", len(own.shares), **self._by_column, of_blocks=far, y=y, result=target
-            )
+            self._launch("jacobian_transposed", len(own.shares), **self._by_column, of_blocks=far, y=y, result=target)
 
         self._gathered(own.shares, of_own, result)
 
@@ -223,9 +221,7 @@ class Jacobian(LinearOperator):
             constant = self._structure.device.constant
             self._buffers[name] = {"member_start": constant(blocks.start), "members": constant(blocks.members)}
         sums = self._array("sums", len(blocks))
-        self._launch(
-            "sum_members", len(blocks), block_count=len(blocks), **self._buffers[name], x=given, result=sums
-        )
+        self._launch("sum_members", len(blocks), block_count=len(blocks), **self._buffers[name], x=given, result=sums)
         return sums
 
     def _in_parts(self, name: str, summed: int, count: int, work_items: int, **arguments: Any) -> DeviceArray:

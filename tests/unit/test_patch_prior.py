@@ -7,13 +7,16 @@ import cloudtomo_cl as ct
 from cloudtomo_cl.inversion.bound_prior import NoiseUnits
 from cloudtomo_cl.inversion.mixture import Mixture, MixtureFile, read_mixtures
 from cloudtomo_cl.inversion.mixture_fit import cloudy_patches, fitted_mixture
+from cloudtomo_cl.inversion.patch_operator import PatchOperator, PatchQuadratic
 from cloudtomo_cl.inversion.patch_prior import BoundPatches, voxels_of_cloud
 from cloudtomo_cl.inversion.patches import Patches
 from cloudtomo_cl.inversion.priors import PatchPrior, Prior, bound_prior
 from cloudtomo_cl.inversion.relative_prior import RelativePrior, mean_extinction
+from cloudtomo_cl.inversion.vectors import Vectors
 
 SIZE = (3, 3, 3)
 UNITS = NoiseUnits(0.5, 0.8, 0.7)
+STRENGTH, NOISE = 1.3, 0.05
 
 
 @pytest.fixture
@@ -33,15 +36,15 @@ def cloud(voxels, random):
     return 30 * random.random(len(voxels)) * (random.random(len(voxels)) < 0.67)
 
 
-def mixture_of(random, components=3):
+def mixture_of(random, components=3, size=SIZE):
     """One of clear patches and some others, not alike."""
-    values = int(np.prod(SIZE))
+    values = int(np.prod(size))
     roots = 0.2 * random.normal(size=(components, values, values)) / values**0.5
     covariances = roots @ roots.transpose(0, 2, 1) + 0.01 * np.eye(values)
     covariances[0] = 0.02**2 * np.eye(values)
     means = random.random((components, 1)) * np.ones(values)
     means[0] = 0
-    return Mixture(SIZE, np.full(components, 1 / components), means, covariances)
+    return Mixture(size, np.full(components, 1 / components), means, covariances)
 
 
 @pytest.fixture
@@ -49,31 +52,38 @@ def mixture(random):
     return mixture_of(random)
 
 
-def bound(voxels, mixture, strength=1.3, noise=0.05):
-    return BoundPatches(Patches(voxels, SIZE), mixture, strength, noise)
+@pytest.fixture
+def bound(voxels, mixture, device):
+    return BoundPatches(PatchOperator(Patches(voxels, SIZE), mixture, device), STRENGTH, NOISE)
 
 
-def by_hand(voxels, mixture, u, strength=1.3, noise=0.05):
-    """The value, patch by patch with NumPy's inverses and determinants."""
-    mask = np.pad(voxels.mask, 1, mode="edge")
-    full = np.pad(voxels.on_grid(u).astype(float), 1, mode="edge")
-    covariances = mixture.covariances + noise**2 * np.eye(full[:3, :3, :3].size)
-    total = 0.0
-    for corner in np.ndindex(voxels.mask.shape):
-        box = tuple(slice(n, n + 3) for n in corner)
-        if not mask[box].any():
-            continue
-        costs = [
-            0.5 * away @ np.linalg.solve(covariance, away) + 0.5 * np.linalg.slogdet(covariance)[1] - np.log(weight)
-            for away, covariance, weight in zip(full[box].ravel() - mixture.means, covariances, mixture.weights)
-        ]
-        clear = 0.5 * np.linalg.slogdet(covariances[0])[1] - np.log(mixture.weights[0])
-        total += min(costs) - clear
-    return strength / 27 * total
+def patches_by_hand(voxels, u, size=SIZE):
+    """The values of all patches that hold a voxel of the mask, cut out with NumPy, shape (patches, values)."""
+    margins = [(n // 2, n // 2) for n in size]
+    mask = np.pad(voxels.mask, margins, mode="edge")
+    full = np.pad(voxels.on_grid(u).astype(float), margins, mode="edge")
+    boxes = [tuple(slice(i, i + n) for i, n in zip(corner, size)) for corner in np.ndindex(voxels.mask.shape)]
+    return np.array([full[box].ravel() for box in boxes if mask[box].any()])
 
 
-def test_the_value_is_the_sum_over_patches_that_hold_a_voxel_of_the_mask(voxels, mixture, cloud):
-    value, _ = bound(voxels, mixture).value_and_gradient(cloud / 20, UNITS)
+def costs_by_hand(mixture, patches, noise=NOISE):
+    """Minus the log densities of patches, by component, but for 2 pi: with NumPy's inverses and determinants."""
+    costs = []
+    for weight, mean, covariance in zip(mixture.weights, mixture.means, mixture.covariances):
+        wide, away = covariance + noise**2 * np.eye(len(mean)), patches - mean
+        forms = np.einsum("ij,ji->i", away, np.linalg.solve(wide, away.T))
+        costs.append(0.5 * forms + 0.5 * np.linalg.slogdet(wide)[1] - np.log(weight))
+    clear = 0.5 * np.linalg.slogdet(mixture.covariances[0] + noise**2 * np.eye(patches.shape[1]))[1]
+    return np.array(costs) - (clear - np.log(mixture.weights[0]))
+
+
+def by_hand(voxels, mixture, u):
+    """The value, patch by patch."""
+    return STRENGTH / 27 * costs_by_hand(mixture, patches_by_hand(voxels, u)).min(axis=0).sum()
+
+
+def test_the_value_is_the_sum_over_patches_that_hold_a_voxel_of_the_mask(voxels, mixture, cloud, bound):
+    value, _ = bound.value_and_gradient(cloud / 20, UNITS)
     assert value == pytest.approx(UNITS.weighted * by_hand(voxels, mixture, cloud / 20), rel=1e-4)
 
 
@@ -82,16 +92,16 @@ def difference_quotient(function, x, direction, step):
 
 
 @pytest.mark.parametrize("of", ["function", "step"])
-def test_the_gradient_is_that_of_the_value(voxels, mixture, cloud, random, of):
-    prior = RelativePrior(bound(voxels, mixture), 1.0)
+def test_the_gradient_is_that_of_the_value(voxels, bound, cloud, random, of):
+    prior = RelativePrior(bound, 1.0)
     used = prior if of == "function" else prior.frozen(cloud, 3)
     direction = random.random(len(voxels))
     quotient = difference_quotient(lambda x: used.value_and_gradient(x, UNITS), cloud, direction, 1e-2)
     assert used.value_and_gradient(cloud, UNITS)[1] @ direction == pytest.approx(quotient, rel=2e-3)
 
 
-def test_a_step_begins_at_a_share_of_the_functions_value_when_the_noise_has_fallen(voxels, mixture, cloud):
-    prior = RelativePrior(bound(voxels, mixture), 1.0)
+def test_a_step_begins_at_a_share_of_the_functions_value_when_the_noise_has_fallen(bound, cloud):
+    prior = RelativePrior(bound, 1.0)
     share = voxels_of_cloud(cloud) / (voxels_of_cloud(cloud) + 200)
     assert prior.frozen(cloud, 99).value_and_gradient(cloud, UNITS)[0] == pytest.approx(
         share * prior.value_and_gradient(cloud, UNITS)[0]
@@ -103,16 +113,16 @@ def test_a_cloud_of_equal_voxels_has_as_many():
     assert voxels_of_cloud(np.zeros(4)) == 0
 
 
-def test_the_steps_stiffness_is_the_second_derivative_of_its_value(voxels, mixture, cloud, random):
-    step = RelativePrior(bound(voxels, mixture), 1.0).frozen(cloud, 2)
+def test_the_steps_stiffness_is_the_second_derivative_of_its_value(voxels, bound, cloud, random):
+    step = RelativePrior(bound, 1.0).frozen(cloud, 2)
     direction = random.random(len(voxels))
     change = step.value_and_gradient(cloud + direction, UNITS)[1] - step.value_and_gradient(cloud, UNITS)[1]
     np.testing.assert_allclose(step.stiffness(direction[:, None], UNITS)[:, 0], change, rtol=1e-3, atol=1e-5)
 
 
-def test_perturbations_have_the_stiffness_as_covariance(voxels, mixture, cloud):
+def test_perturbations_have_the_stiffness_as_covariance(voxels, bound, cloud):
     """Along one direction, of 2000 draws: the ratio of variances has a standard error of sqrt(2/2000), 3 %."""
-    step = RelativePrior(bound(voxels, mixture), 1.0).frozen(cloud, 2)
+    step = RelativePrior(bound, 1.0).frozen(cloud, 2)
     random = np.random.default_rng(3)
     direction = random.random(len(voxels))
     draws = [step.perturbation(random, UNITS) @ direction for _ in range(2000)]
@@ -172,20 +182,47 @@ def test_denoising_with_one_gaussian_is_the_posterior_mean(random):
     patches = (0.9 + 0.5 * random.random((20, 27))).astype(np.float32)  # far from clear
     gain = mixture.covariances[1] @ np.linalg.inv(mixture.covariances[1] + noise**2 * np.eye(27))
     expected = mixture.means[1] + (patches - mixture.means[1]) @ gain.T
-    assert (mixture.likeliest(patches, noise) == 1).all()
     found = patches - noise**2 * (patches - mixture.means[1]) @ mixture.precisions(noise)[1]
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_the_likeliest_component_is_that_of_the_largest_density(mixture, random):
-    from scipy.stats import multivariate_normal
+# Among them grids that are thinner than a patch, and one of more than a tile along z.
+@pytest.mark.parametrize("shape, size", [((7, 6, 8), SIZE), ((2, 1, 11), (5, 3, 3)), ((4, 6, 1), (3, 3, 5))])
+def test_a_steps_function_is_that_of_its_patches(random, device, shape, size):
+    """At another cloud than that which components were chosen for; those that another density would have are others."""
+    mask = random.random(shape) < 0.8
+    voxels, mixture = ct.Voxels(ct.Grid(shape, (0.02,) * 3), mask), mixture_of(random, 4, size)
+    u = 1.5 * random.random(mask.sum()) * (random.random(mask.sum()) < 0.67)
+    step = PatchQuadratic(PatchOperator(Patches(voxels, size), mixture, device), u, NOISE)
+    patches = patches_by_hand(voxels, u, size)
+    chosen = np.where(patches.any(axis=1), costs_by_hand(mixture, patches).argmin(axis=0), 0)
+    np.testing.assert_array_equal(step.components, chosen)
+    assert len(np.unique(chosen)) > 1
+    other = u + 0.3 * random.random(len(u))
+    costs = costs_by_hand(mixture, patches_by_hand(voxels, other, size))
+    assert step.value_and_gradient(other)[0] == pytest.approx(costs[chosen, np.arange(len(chosen))].sum(), rel=1e-4)
 
-    patches = random.random((50, 1)).astype(np.float32) + 0.1 * random.normal(size=(50, 27)).astype(np.float32)
-    densities = [
-        np.log(weight) + multivariate_normal(mean, covariance + 0.1**2 * np.eye(27)).logpdf(patches)
-        for weight, mean, covariance in zip(mixture.weights, mixture.means, mixture.covariances)
-    ]
-    np.testing.assert_array_equal(mixture.likeliest(patches, 0.1), np.argmax(densities, axis=0))
+
+def test_what_was_chosen_before_changes_nothing(voxels, mixture, cloud, device, random):
+    operator = PatchOperator(Patches(voxels, SIZE), mixture, device)
+    first = PatchQuadratic(operator, cloud / 20, NOISE)
+    PatchQuadratic(operator, random.random(len(voxels)), 0.3)
+    again = PatchQuadratic(operator, cloud / 20, NOISE)
+    np.testing.assert_array_equal(again.components, first.components)
+    assert again.value == first.value and np.array_equal(again.times(cloud), first.times(cloud))
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.25])
+def test_a_steps_term_has_its_gradient_and_its_second_derivative(voxels, bound, cloud, device, random, scale):
+    step = bound.frozen(cloud / 20, 2)
+    term, vectors = step.term(UNITS, scale), Vectors(device, len(voxels))
+    gradient, product, direction = vectors.zeros(), vectors.zeros(), random.random(len(voxels))
+    term.add_gradient(vectors.of(cloud / 20 / scale), gradient)
+    term.add_product(vectors.of(direction), product)
+    expected = scale * step.value_and_gradient(cloud / 20, UNITS)[1]
+    np.testing.assert_allclose(gradient.get(), expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
+    expected = scale**2 * step.stiffness(direction[:, None], UNITS)[:, 0]
+    np.testing.assert_allclose(product.get(), expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
 
 
 def test_a_mixture_is_found_again_from_its_patches(random):

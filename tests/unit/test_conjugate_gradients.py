@@ -1,0 +1,133 @@
+"""The minimiser of terms on a device, against SciPy's and linear algebra."""
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear, minimize
+
+from cloudtomo_cl.inversion.solvers.conjugate_gradients import minimised
+from cloudtomo_cl.inversion.terms import Around, HostTerm, term_of
+from cloudtomo_cl.inversion.vectors import PARTS, Vectors, sum_of
+
+UNKNOWNS = 40
+
+
+class Quadratic:
+    """1/2 x^T H x - b^T x on arrays of the host; counts products."""
+
+    quadratic = True
+
+    def __init__(self, device, second, slope):
+        self.vectors, self.second, self.slope = Vectors(device, len(slope)), second, slope
+        self.products = 0
+
+    def add_gradient(self, x, result):
+        self.vectors.add(1.0, self.vectors.of(self.second @ x.get() - self.slope), result)
+
+    def add_product(self, x, result):
+        self.products += 1
+        self.vectors.add(1.0, self.vectors.of(self.second @ x.get()), result)
+
+    def value(self, x):
+        return 0.5 * x @ self.second @ x - self.slope @ x
+
+
+class Own:
+    """A user's prior: sum of weight (b - aim)^4 / 4, which no term is made of."""
+
+    def __init__(self, aim):
+        self.aim = aim
+
+    def value_and_gradient(self, extinction, units):
+        away = extinction - self.aim
+        return np.sum(away**4) / 4, away**3
+
+
+@pytest.fixture
+def random():
+    return np.random.default_rng(11)
+
+
+@pytest.fixture
+def matrix(random):
+    return random.normal(size=(60, UNKNOWNS)) * np.exp(random.normal(size=UNKNOWNS))
+
+
+def test_minima_respect_their_bounds(device, random, matrix):
+    """Against SciPy's bounded least squares: about half of the unknowns end on the bound."""
+    aim = random.normal(size=60)
+    term = Quadratic(device, matrix.T @ matrix, matrix.T @ aim)
+    found = minimised([term], np.ones(UNKNOWNS), np.sum(matrix**2, axis=0), 200, device, 1e-12)
+    expected = lsq_linear(matrix, aim, bounds=(0, np.inf), tol=1e-12).x
+    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+    assert 0.2 < np.mean(found == 0) < 0.8
+
+
+def test_without_bounds_they_are_conjugate_gradients(device, random):
+    """Which end after as many products as there are different eigenvalues."""
+    axes = np.linalg.qr(random.normal(size=(UNKNOWNS, UNKNOWNS)))[0]
+    second = axes * np.resize([1.0, 3.0, 10.0], UNKNOWNS) @ axes.T
+    minimum = 100 + random.random(UNKNOWNS)
+    term = Quadratic(device, second, second @ minimum)
+    found = minimised([term], np.full(UNKNOWNS, 100.0), np.ones(UNKNOWNS), 3, device)
+    np.testing.assert_allclose(found, minimum, atol=1e-4)
+
+
+def test_an_iteration_takes_a_product_and_lowers_the_function(device, random, matrix):
+    term = Quadratic(device, matrix.T @ matrix, matrix.T @ random.normal(size=60))
+    start, stiffness = random.random(UNKNOWNS), np.sum(matrix**2, axis=0)
+    values = [term.value(start)]
+    for iterations in range(1, 12):
+        term.products = 0
+        values.append(term.value(minimised([term], start, stiffness, iterations, device)))
+        assert term.products <= iterations + 1  # a direction that leads up is replaced
+    assert (np.diff(values) < 0).all()
+
+
+def test_a_prior_of_unknown_form_is_minimised_with_the_others(device, random, matrix):
+    aim, wanted = random.normal(size=60), random.normal(size=UNKNOWNS)
+    term, own = Quadratic(device, matrix.T @ matrix, matrix.T @ aim), Own(wanted)
+    other = term_of(own, None, device)
+    assert isinstance(other, HostTerm)
+    found = minimised([term, other], np.ones(UNKNOWNS), np.sum(matrix**2, axis=0) + 1, 200, device, 1e-12)
+
+    def value_and_gradient(x):
+        value, gradient = own.value_and_gradient(x, None)
+        return value + term.value(x), gradient + term.second @ x - term.slope
+
+    bounds = [(0, None)] * UNKNOWNS
+    options = {"maxiter": 2000, "ftol": 1e-15, "gtol": 1e-10}
+    expected = minimize(
+        value_and_gradient, np.ones(UNKNOWNS), jac=True, method="L-BFGS-B", bounds=bounds, options=options
+    )
+    assert value_and_gradient(found)[0] == pytest.approx(expected.fun, rel=1e-6)
+
+
+def test_a_start_at_the_minimum_is_the_result(device):
+    term = Quadratic(device, np.eye(UNKNOWNS), np.zeros(UNKNOWNS))
+    np.testing.assert_array_equal(minimised([term], np.zeros(UNKNOWNS), np.ones(UNKNOWNS), 5, device), 0)
+
+
+def test_a_function_around_a_centre_has_its_slope_there(device, random, matrix):
+    """Its minimum without bounds is a Newton step from the centre."""
+    second, slope, centre = matrix.T @ matrix + np.eye(UNKNOWNS), random.normal(size=UNKNOWNS), np.full(UNKNOWNS, 50.0)
+    model = Around([Quadratic(device, second, np.full(UNKNOWNS, np.nan))], centre, slope, device)
+    found = minimised([model], centre, np.diag(second), 200, device)
+    np.testing.assert_allclose(found - centre, -np.linalg.solve(second, slope), atol=1e-3)
+
+
+@pytest.mark.parametrize("count", [1, PARTS - 1, 3 * PARTS + 5])
+def test_sums_are_those_of_all_numbers(device, random, count):
+    vectors = Vectors(device, count)
+    x, gradient, change, image = np.abs(random.normal(size=(1, count))), *random.normal(size=(3, count, 1))
+    x, gradient, change, image = (np.ravel(values).astype(np.float32) for values in (x, gradient, change, image))
+    slopes, curvatures, farthest = vectors.parts(
+        "sums_of_change",
+        **{
+            name: vectors.of(values)
+            for name, values in dict(x=x, gradient=gradient, change=change, image=image).items()
+        },
+    )
+    assert sum_of(slopes) == pytest.approx(gradient.astype(float) @ change, rel=1e-5, abs=1e-5)
+    assert sum_of(curvatures) == pytest.approx(image.astype(float) @ change, rel=1e-5, abs=1e-5)
+    down = change < 0
+    assert farthest.min() == pytest.approx(np.min(x[down] / -change[down], initial=np.inf))
