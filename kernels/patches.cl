@@ -10,6 +10,7 @@
 
 #define VALUES (PATCH_X * PATCH_Y * PATCH_Z)
 #define CHUNKS ((VALUES + LANES - 1) / LANES)
+#define PLACE(x, y, z) (((x) * PATCH_Y + (y)) * PATCH_Z + (z))
 #define OFFSETS_X (2 * PATCH_X - 1)
 #define OFFSETS_Y (2 * PATCH_Y - 1)
 #define OFFSETS_Z (2 * PATCH_Z - 1)
@@ -84,6 +85,7 @@ __kernel void choose_components(CHOOSE_COMPONENTS_PARAMETERS)
         for (uint axis = 0u; axis < VALUES && sum <= least; ++axis) {
             const __global float *row = whitening + (size_t)(tried * VALUES + axis) * CHUNKS * LANES;
             float8 sums = 0.0f;
+#pragma unroll
             for (int chunk = 0; chunk < CHUNKS; ++chunk)
                 sums += own[chunk] * vload8(chunk, row);
             const float away = sum_of(sums) - white_means[tried * VALUES + axis];
@@ -137,6 +139,8 @@ __kernel void assemble_stencil(ASSEMBLE_STENCIL_PARAMETERS)
         const int2 px = places_of(voxel.x, x, PATCH_X, shape.x), qx = places_of(other_x, x, PATCH_X, shape.x);
         for (int y = ys.x; y <= ys.y; ++y) {
             const int2 py = places_of(voxel.y, y, PATCH_Y, shape.y), qy = places_of(other_y, y, PATCH_Y, shape.y);
+            /* But for the edges of the grid both voxels have one place in a patch. */
+            const bool alone = px.x == px.y && qx.x == qx.y && py.x == py.y && qy.x == qy.y;
 #pragma unroll
             for (int n = 0; n < PATCH_Z; ++n) {
                 const int z = voxel.z + n - PATCH_Z / 2;
@@ -144,25 +148,22 @@ __kernel void assemble_stencil(ASSEMBLE_STENCIL_PARAMETERS)
                 if (chosen == 0 || chosen == NO_PATCH)
                     continue;
                 const __global float *own = precision + (size_t)chosen * VALUES * VALUES;
-                const bool whole = z >= PATCH_Z / 2 && z < shape.z - PATCH_Z / 2;
+                if (alone && z >= PATCH_Z / 2 && z < shape.z - PATCH_Z / 2) {
+                    const __global float *row = own + PLACE(px.x, py.x, PATCH_Z - 1 - n) * VALUES + PLACE(qx.x, qy.x, 0);
+#pragma unroll
+                    for (int c = 0; c < PATCH_Z; ++c)
+                        sums[n + c] += row[c];
+                    continue;
+                }
                 const int2 pz = places_of(voxel.z, z, PATCH_Z, shape.z);
-                /* But for the edges of the grid both voxels have one place in a patch. */
                 for (int i = px.x; i <= px.y; ++i)
                     for (int j = py.x; j <= py.y; ++j)
                         for (int k = pz.x; k <= pz.y; ++k)
                             for (int a = qx.x; a <= qx.y; ++a)
-                                for (int b = qy.x; b <= qy.y; ++b) {
-                                    const __global float *row = own + ((i * PATCH_Y + j) * PATCH_Z + k) * VALUES
-                                                                + (a * PATCH_Y + b) * PATCH_Z;
-                                    if (whole) {
-#pragma unroll
-                                        for (int c = 0; c < PATCH_Z; ++c)
-                                            sums[n + c] += row[c];
-                                    }
-                                    else
-                                        for (int c = 0; c < PATCH_Z; ++c)
-                                            sums[voxel_at(z, c, PATCH_Z, shape.z) - voxel.z + PATCH_Z - 1] += row[c];
-                                }
+                                for (int b = qy.x; b <= qy.y; ++b)
+                                    for (int c = 0; c < PATCH_Z; ++c)
+                                        sums[voxel_at(z, c, PATCH_Z, shape.z) - voxel.z + PATCH_Z - 1] +=
+                                            own[PLACE(i, j, k) * VALUES + PLACE(a, b, c)];
             }
         }
     }
@@ -193,7 +194,7 @@ __kernel void sum_patches(SUM_PATCHES_PARAMETERS)
                 for (int i = px.x; i <= px.y; ++i)
                     for (int j = py.x; j <= py.y; ++j)
                         for (int k = pz.x; k <= pz.y; ++k) {
-                            const int place = n * VALUES + (i * PATCH_Y + j) * PATCH_Z + k;
+                            const int place = n * VALUES + PLACE(i, j, k);
                             slopes += slope[place];
                             diagonals += diagonal_of[place];
                             count += n == 0;
