@@ -12,9 +12,20 @@ from cloudtomo_cl.inversion.patches import Patches
 from cloudtomo_cl.inversion.vectors import Vectors
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, device_errors
+from cloudtomo_cl.opencl.memory import Footprint
 
 # Voxels of a tile of the stencil, in a row along z; and what stands for a patch that holds no voxel of the mask.
 _LANES, _NO_PATCH = 8, 65535
+
+
+# Share of the tiles' voxels that are near cloud, and how many voxels share a patch of 5 x 5 x 3 with one.
+_TILES_FILLED, _NEIGHBOURS = 0.6, 405
+
+
+def stencil_footprint(voxels: int) -> Footprint:
+    """What a step's stencil takes of so many voxels near cloud."""
+    size = 4.0 * _NEIGHBOURS * voxels / _TILES_FILLED
+    return Footprint(size, size)
 
 
 class PatchOperator:

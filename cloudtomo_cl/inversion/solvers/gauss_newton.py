@@ -15,6 +15,7 @@ from cloudtomo_cl.inversion.bound_prior import FrozenPrior
 from cloudtomo_cl.inversion.data_term import DataTerm, Force
 from cloudtomo_cl.inversion.jacobian_average import JacobianAverage
 from cloudtomo_cl.inversion.objective import cost_of_independent, noise_of
+from cloudtomo_cl.inversion.patch_operator import stencil_footprint
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
 from cloudtomo_cl.inversion.solvers.blas import with_one_blas_thread
@@ -81,8 +82,8 @@ class GaussNewtonState:
 class GaussNewton:
     """Renders at an extinction, takes the derivatives of all pixels there, and minimises the model they give.
 
-    Source: Gauss-Newton with bounds (Nocedal and Wright 2006, section 10.3), inner minimisation by L-BFGS-B (Byrd,
-    Lu, Nocedal and Zhu 1995).
+    Source: Gauss-Newton with bounds (Nocedal and Wright 2006, section 10.3), inner minimisation by conjugate gradients
+    whose steps are put onto the bounds (`conjugate_gradients.minimised`).
 
     Attributes
     ----------
@@ -93,7 +94,7 @@ class GaussNewton:
     image_samples : paths for the images, times those for the derivatives
     damping : of the first steps, in shares of the data term's own curvature; it halves from step to step, down to
         a tenth
-    inner_iterations : of the minimisation of the quadratic model
+    inner_iterations : of the minimisation of the quadratic model, at most
     """
 
     type: Literal["gauss-newton"] = "gauss-newton"
@@ -108,8 +109,8 @@ class GaussNewton:
         return (self.iterations or 30, 30) if last else (4, 20)
 
     def footprint(self, pixels: int, voxels: int, longest: int) -> Footprint:
-        """What derivatives and table take, of a grid with so many voxels along its longest axis."""
-        return table_footprint(voxels) + jacobian_footprint(pixels, voxels, longest)
+        """What derivatives, table and prior take, of a grid with so many voxels along its longest axis."""
+        return table_footprint(voxels) + jacobian_footprint(pixels, voxels, longest) + stencil_footprint(voxels)
 
     def init(self, problem: Problem, extinction: np.ndarray) -> GaussNewtonState:
         """Before the first iteration; see `Solver`."""
@@ -145,9 +146,7 @@ class GaussNewton:
             turned=np.concatenate([state.turned, state.motions[None]]),
             derivatives=derivatives,
         )
-        frozen = problem.prior.frozen(state.extinction, state.iterations - 1)
-        prior, _ = frozen.value_and_gradient(state.extinction, problem.units(state.modelled_noise(problem)))
-        state = self._minimised(problem, state, frozen, stream)
+        prior, state = self._minimised(problem, state, stream)
         rate = tail_rate(state.iterations - 1)
         estimate = state.estimate + (state.extinction - state.estimate) * rate
         paths = rendering.samples * len(problem.active)
@@ -163,12 +162,10 @@ class GaussNewton:
         values = problem.on_grid(extinction)
         return pooled(walked, problem.operator.render(values, more, seed, stream, first_sample=walked.samples))
 
-    def _minimised(
-        self, problem: Problem, state: GaussNewtonState, prior: FrozenPrior, stream: int
-    ) -> GaussNewtonState:
+    def _minimised(self, problem: Problem, state: GaussNewtonState, stream: int) -> tuple[float, GaussNewtonState]:
         """The state at the minimum of the model: residuals and their derivatives, prior, and a damping of the step.
 
-        prior : as it stands at the state's extinction
+        And the prior's value where it begins.
         """
         assert state.derivatives is not None
         jacobian, weights = state.derivatives.jacobian, problem.weights
@@ -187,6 +184,8 @@ class GaussNewton:
             stiff = curvature * (1 + damping) + prior.curvature(begin, units) + LEAST_CURVATURE * curvature.mean()
             return minimised([data, term_of(prior, units, device)], begin, stiff, self.inner_iterations, device)
 
+        prior = problem.prior.frozen(state.extinction, state.iterations - 1)
+        value, _ = prior.value_and_gradient(state.extinction, units)
         extinction = least(state.extinction, prior)
         scale = mean_extinction(state.extinction)
         for _ in range(_RESCALINGS):
@@ -194,13 +193,15 @@ class GaussNewton:
             before, scale = scale, mean_extinction(extinction)
             if abs(scale - before) <= _SETTLED_SCALE * before:
                 break
+            del prior  # it may be large
             prior = problem.prior.frozen(extinction, state.iterations - 1)
             extinction = least(extinction, prior)
         predicted = jacobian @ (extinction - state.extinction)
         motions = calibration.motions(misfit + predicted, state.image)
         predicted = predicted + calibration.change(motions - state.motions)
         lag = state.lag + noise_of((_TANGENT_ERROR * predicted) ** 2, weights)
-        return replace(state, extinction=extinction, image=state.image + predicted, lag=lag, motions=motions)
+        image = state.image + predicted
+        return value, replace(state, extinction=extinction, image=image, lag=lag, motions=motions)
 
     @with_one_blas_thread
     def standard_error(self, problem: Problem, state: GaussNewtonState, draws: int, seed: int) -> np.ndarray | None:
