@@ -4,17 +4,15 @@
 /* x is free where it is off its bound, or is pulled off it. */
 inline bool is_free(float x, float gradient) { return x > 0.0f || gradient < 0.0f; }
 
-/* Where a step along the next direction comes to rest, bounds heeded: `change`, which has the last one before. */
+/* Where a step along the next direction comes to rest, bounds heeded: `change`, which has the last one before. What is
+ * on its bound and is pushed against it was not moved off it by the last change, and stays. */
 __kernel void next_change(NEXT_CHANGE_PARAMETERS)
 {
     const uint index = get_global_id(0);
     if (index >= count)
         return;
-    const float at = x[index], slope = gradient[index];
-    float along = 0.0f;
-    if (is_free(at, slope))
-        along = conjugation * change[index] - scale[index] * slope;
-    change[index] = fmax(at + length * along, 0.0f) - at;
+    const float along = conjugation * change[index] - scale[index] * gradient[index];
+    change[index] = fmax(x[index] + length * along, 0.0f) - x[index];
 }
 
 /* gradient . change, change . image, and how many times as far a change can go until it meets a bound. */
