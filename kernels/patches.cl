@@ -62,9 +62,9 @@ __kernel void choose_components(CHOOSE_COMPONENTS_PARAMETERS)
     for (int x = 0, place = 0; x < PATCH_X; ++x)
         for (int y = 0; y < PATCH_Y; ++y)
             for (int z = 0; z < PATCH_Z; ++z, ++place) {
-                const int3 voxel = (int3)(
-                    voxel_at(middle.x, x, PATCH_X, shape.x), voxel_at(middle.y, y, PATCH_Y, shape.y),
-                    voxel_at(middle.z, z, PATCH_Z, shape.z));
+                const int3 voxel =
+                    (int3)(voxel_at(middle.x, x, PATCH_X, shape.x), voxel_at(middle.y, y, PATCH_Y, shape.y),
+                           voxel_at(middle.z, z, PATCH_Z, shape.z));
                 held[place] = values[halo_index(voxel, halo)];
                 clear = clear && held[place] == 0.0f;
             }
@@ -132,8 +132,8 @@ __kernel void assemble_stencil(ASSEMBLE_STENCIL_PARAMETERS)
     float sums[OFFSETS_Z];
     for (int n = 0; n < OFFSETS_Z; ++n)
         sums[n] = 0.0f;
-    const bool inside = number[tile * LANES + lane] >= 0 && other_x >= 0 && other_x < shape.x && other_y >= 0
-                        && other_y < shape.y;
+    const bool inside =
+        number[tile * LANES + lane] >= 0 && other_x >= 0 && other_x < shape.x && other_y >= 0 && other_y < shape.y;
     const int2 xs = centres_of(voxel.x, other_x, PATCH_X, shape.x), ys = centres_of(voxel.y, other_y, PATCH_Y, shape.y);
     for (int x = xs.x; inside && x <= xs.y; ++x) {
         const int2 px = places_of(voxel.x, x, PATCH_X, shape.x), qx = places_of(other_x, x, PATCH_X, shape.x);
@@ -149,7 +149,8 @@ __kernel void assemble_stencil(ASSEMBLE_STENCIL_PARAMETERS)
                     continue;
                 const __global float *own = precision + (size_t)chosen * VALUES * VALUES;
                 if (alone && z >= PATCH_Z / 2 && z < shape.z - PATCH_Z / 2) {
-                    const __global float *row = own + PLACE(px.x, py.x, PATCH_Z - 1 - n) * VALUES + PLACE(qx.x, qy.x, 0);
+                    const __global float *row =
+                        own + PLACE(px.x, py.x, PATCH_Z - 1 - n) * VALUES + PLACE(qx.x, qy.x, 0);
 #pragma unroll
                     for (int c = 0; c < PATCH_Z; ++c)
                         sums[n + c] += row[c];
