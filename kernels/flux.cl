@@ -33,21 +33,20 @@ inline void on_leaving(const Medium *medium, const Segment *segment, const Fligh
         tally_column(medium->scene, downward, ray->position, segment->throughput, tally);
 }
 
-inline void on_absorption(const Medium *medium, const Interaction *at, float weight, Tally *tally)
+inline void on_absorption(const Medium *medium, const KEPT Interaction *at, float weight, Tally *tally)
 {
     const bool by_surface = at->particle == PARTICLE_SURFACE;
     budget_absorption(&tally->budget, by_surface, weight);
     if (!by_surface)
-        tally_column(medium->scene, FLUX_ABSORBED, at->ray.position, weight, tally);
+        tally_column(medium->scene, FLUX_ABSORBED, kept_vector(at->ray.position), weight, tally);
 }
 
-inline void on_interaction(const Medium *medium, const Segment *segment, const Flight *flight, const Interaction *at,
-                           Tally *tally)
+inline void on_interaction(const Medium *medium, const Segment *segment, const Flight *flight,
+                           const KEPT Interaction *at, Tally *tally)
 {
 }
 
-inline void on_scattering(const Medium *medium, const Interaction *at, float3 new_direction, const SampleKey *key,
-                          Tally *tally)
+inline void on_scattering(const Medium *medium, const KEPT Interaction *at, Tally *tally)
 {
 }
 
@@ -70,21 +69,20 @@ __kernel void trace_photons(TRACE_PHOTONS_PARAMETERS)
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
     TURNS(turn, photon_count);
     GROUP_BUDGET(group_budget, budget);
-    SampleKey key;
-    Interaction at;
+    KEPT_FOR_ITEM(Interaction, at);
     Tally tally;
     for (bool walks = false;;) {
         if (!walks) {
             if (!next_turn(&turn))
                 break;
             const uint sample = first_sample + turn.item / pixel_count;
-            key = sample_key(seed, 0u, (uint2)(SUN_VIEW, turn.item % pixel_count), sample);
+            const SampleKey key = sample_key(seed, 0u, (uint2)(SUN_VIEW, turn.item % pixel_count), sample);
             tally.budget = empty_budget(group_budget);
             tally.columns = columns;
-            at = path_start(camera_ray(scene, sun_view, 0, &key));
+            start_path(at, &key, camera_ray(scene, sun_view, 0, &key));
         }
         do
-            walks = walk_event(&medium, &at, &key, &tally);
+            walks = walk_event(&medium, at, &tally);
         while (walks && !REGENERATES);
     }
     close_group_budget(group_budget, budget);

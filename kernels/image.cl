@@ -36,7 +36,7 @@ inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalE
     tally->budget.truncated += estimate->removed;
 }
 
-inline void on_absorption(const Medium *medium, const Interaction *at, float weight, Tally *tally)
+inline void on_absorption(const Medium *medium, const KEPT Interaction *at, float weight, Tally *tally)
 {
     budget_absorption(&tally->budget, at->particle == PARTICLE_SURFACE, weight);
 }
@@ -60,8 +60,7 @@ __kernel void render_paths(RENDER_PATHS_PARAMETERS)
     TURNS(turn, path_count);
     GROUP_BUDGET(group_budget, budget);
     uint path = 0u;
-    SampleKey key;
-    Interaction at;
+    KEPT_FOR_ITEM(Interaction, at);
     Tally tally;
     for (bool walks = false;;) {
         if (!walks) {
@@ -69,12 +68,12 @@ __kernel void render_paths(RENDER_PATHS_PARAMETERS)
                 break;
             path = path_of_item(turn.item, pixel_count, path_count);
             const uint2 pixel = pixels[path % pixel_count];
-            key = sample_key(seed, stream, pixel, first_sample + path / pixel_count);
+            const SampleKey key = sample_key(seed, stream, pixel, first_sample + path / pixel_count);
             tally = empty_tally(group_budget);
-            at = path_start(camera_ray(scene, views + pixel.x, rays, &key));
+            start_path(at, &key, camera_ray(scene, views + pixel.x, rays, &key));
         }
         do
-            walks = walk_event(&medium, &at, &key, &tally);
+            walks = walk_event(&medium, at, &tally);
         while (walks && !REGENERATES);
         if (!walks)
             path_radiance[path] = tally.radiance;

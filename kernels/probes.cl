@@ -30,6 +30,7 @@ inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalE
 /* `samples` paths from every voxel listed; each counts as a crossing of `length`. */
 __kernel void probe_paths(PROBE_PATHS_PARAMETERS)
 {
+    KEPT_FOR_ITEM(Interaction, at);
     const size_t item = get_global_id(0);
     if (item >= (size_t)count * samples)
         return;
@@ -50,7 +51,7 @@ __kernel void probe_paths(PROBE_PATHS_PARAMETERS)
     const uint cell = cell_at(&table, column[index], ray.position);
     volatile __global Accumulator *sums = table_sums + 2u * (cell * DIRECTION_BINS + direction_bin(ray.direction));
     Tally tally = {0.0f, 1.0f};
-    walk_path(&medium, ray, &key, &tally);
+    walk_path(&medium, at, ray, &key, &tally);
     accumulate(sums, TABLE_UNIT * length);
     accumulate(sums + 1, TABLE_UNIT * length * tally.radiance);
 }

@@ -22,7 +22,7 @@ typedef struct {
     uint virtual_collisions;   /* so far */
     uint place;                /* of the one that is kept, in the list */
     uint path;
-    SampleKey key;                            /* of the virtual collisions */
+    const KEPT Interaction *at; /* the path as it stands */
     const __global float *virtual_extinction; /* [x][y][z]; below 0: outside of the mask, nothing is deposited */
     __global VirtualCollision *list;
     volatile __global uint *listed;
@@ -43,12 +43,20 @@ inline void deposit_crossing(const Tally *tally, int index, float length, float 
         accumulate(tally->gradient + index, -tally->adjoint * length * radiance);
 }
 
+/* The uniform numbers of a path's virtual collision n; 0: of the way to the first. */
+inline float4 virtual_uniforms(const Tally *tally, uint n)
+{
+    SampleKey key = kept_key(&tally->at->key);
+    key.view += VIRTUAL_COLLISIONS_VIEW;
+    return uniforms(&key, n);
+}
+
 /* The n-th virtual collision replaces the one that is kept with probability 1 / n: each is kept as likely. */
-RARE_FUNCTION void meet_virtual_droplet(const Medium *medium, const Ray *from, const VoxelWalk *walk, float distance,
+inline void meet_virtual_droplet(const Medium *medium, const Ray *from, const VoxelWalk *walk, float distance,
                                         const Payload *payload, Tally *tally)
 {
     const uint n = ++tally->virtual_collisions;
-    const float2 u = uniforms(&tally->key, n).xy;
+    const float2 u = virtual_uniforms(tally, n).xy;
     tally->virtual_depth = -logarithm(u.x);
     if (n == 1u)
         tally->place = atomic_inc(tally->listed);
@@ -135,15 +143,13 @@ inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalE
 #include "walk/radiance.h"
 
 /* Before a path, whose radiance is known. */
-inline void begin_tally(Tally *tally, uint path, float total, const SampleKey *key)
+inline void begin_tally(Tally *tally, uint path, float total)
 {
     tally->radiance = 0.0f;
     tally->own_share = 1.0f;
     tally->total = total;
     tally->remaining = 0.0f;
-    tally->key = *key;
-    tally->key.view += VIRTUAL_COLLISIONS_VIEW;
-    tally->virtual_depth = -logarithm(uniforms(&tally->key, 0u).x);
+    tally->virtual_depth = -logarithm(virtual_uniforms(tally, 0u).x);
     tally->virtual_collisions = 0u;
     tally->place = 0u;
     tally->path = path;
@@ -161,9 +167,9 @@ __kernel void replay_paths(REPLAY_PATHS_PARAMETERS)
 {
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
     TURNS(turn, path_count);
-    SampleKey key;
-    Interaction at;
+    KEPT_FOR_ITEM(Interaction, at);
     Tally tally;
+    tally.at = at;
     tally.virtual_extinction = virtual_extinction;
     tally.list = virtual_collisions;
     tally.listed = virtual_collision_count;
@@ -178,12 +184,12 @@ __kernel void replay_paths(REPLAY_PATHS_PARAMETERS)
             if (tally.adjoint == 0.0f)
                 continue;
             const uint2 pixel = pixels[pixel_in_list];
-            key = sample_key(seed, stream, pixel, sample);
-            begin_tally(&tally, path, path_radiance[path], &key);
-            at = path_start(camera_ray(scene, views + pixel.x, rays, &key));
+            const SampleKey key = sample_key(seed, stream, pixel, sample);
+            start_path(at, &key, camera_ray(scene, views + pixel.x, rays, &key));
+            begin_tally(&tally, path, path_radiance[path]);
         }
         do
-            walks = walk_event(&medium, &at, &key, &tally);
+            walks = walk_event(&medium, at, &tally);
         while (walks && !REGENERATES);
         if (!walks)
             end_tally(&tally, astray);

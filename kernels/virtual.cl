@@ -35,18 +35,20 @@ inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalE
 #include "walk/radiance.h"
 
 /* Sunlight that a side flight which ends in a droplet there adds. */
-static float side_radiance(const Medium *medium, const Interaction *at, float share, int index, const SampleKey *key)
+static float side_radiance(const Medium *medium, const KEPT Interaction *at, float share, int index)
 {
-    const float4 v = uniforms(key, at->event * BLOCKS_PER_EVENT + BLOCK_ROULETTE);
+    const float4 v = path_uniforms(at, BLOCK_ROULETTE);
     float albedo;
     const Particle droplet = choose_droplet(medium, index, v.w, &albedo);
     const float weight = at->throughput * albedo * share
-                         * scatter_density(medium, droplet, at->ray.direction, sun_direction(medium->scene));
-    return local_estimate(medium, &at->ray, weight, LOCAL_ESTIMATE_ROULETTE, v.x).radiance;
+                         * scatter_density(medium, droplet, kept_vector(at->ray.direction), sun_direction(medium->scene));
+    const Ray ray = kept_ray(&at->ray);
+    return local_estimate(medium, &ray, weight, LOCAL_ESTIMATE_ROULETTE, v.x).radiance;
 }
 
 __kernel void virtual_paths(VIRTUAL_PATHS_PARAMETERS)
 {
+    KEPT_FOR_ITEM(Interaction, at);
     const size_t item = get_global_id(0);
     if (item >= count)
         return;
@@ -56,20 +58,17 @@ __kernel void virtual_paths(VIRTUAL_PATHS_PARAMETERS)
     const uint2 pixel = pixels[pixel_in_list];
     const SampleKey key = {seed, stream, pixel.y, pixel.x + VIRTUAL_PATHS_VIEW, sample};
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
-    Interaction at;
-    at.ray.position = vload3(0, from->position);
-    at.ray.direction = vload3(0, from->direction);
-    at.ray.voxel = vload3(0, from->voxel);
-    at.ray.inside = true;
-    at.throughput = from->throughput;
-    at.event = from->event;
-    const int index = voxel_index(scene, at.ray.voxel);
+    const Ray ray = {vload3(0, from->position), vload3(0, from->direction), vload3(0, from->voxel), true};
+    start_path(at, &key, ray);
+    at->throughput = from->throughput;
+    at->event = from->event;
+    const int index = voxel_index(scene, ray.voxel);
     float radiance;
     if (from->aside) {
-        radiance = side_radiance(&medium, &at, from->share, index, &key);
+        radiance = side_radiance(&medium, at, from->share, index);
     } else {
         Tally tally = {0.0f, from->share, from->event, index};
-        walk_on(&medium, at, &key, &tally);
+        walk_on(&medium, at, &tally);
         radiance = tally.radiance;
     }
     const float droplets = extinction[index] + virtual_extinction[index];

@@ -210,7 +210,7 @@ def dialect(regenerates: bool, calls: bool) -> list[str]:
         *(["#define CLOUDTOMO_REGENERATES"] if regenerates else []),
         f"#define inline {always}",
         f"#define LARGE_FUNCTION {'inline' if regenerates else 'static'}",
-        f"#define RARE_FUNCTION {'__attribute__((noinline)) static' if calls else 'inline'}",
+        *([f"#define CLOUDTOMO_KEEPS_LOCAL", f"#define WORK_GROUP_SIZE {WORK_GROUP_SIZE}"] if calls else []),
         f"#define RARELY_READ {'volatile' if regenerates else ''}",
     ]
 

@@ -8,6 +8,7 @@
 #define CLOUDTOMO_GRID_H
 
 #include "walk/arithmetic.h"
+#include "walk/kept.h"
 
 typedef struct {
     float3 position;  /* voxel units */
@@ -15,6 +16,33 @@ typedef struct {
     int3 voxel;       /* the voxel that holds position; valid if inside */
     bool inside;      /* the position is known to lie in the domain */
 } Ray;
+
+/* A ray where it is kept. */
+typedef struct {
+    float position[3], direction[3];
+    int voxel[3];
+    int inside;
+} KeptRay;
+
+inline Ray kept_ray(const KEPT KeptRay *kept)
+{
+    Ray ray;
+    ray.position = kept_vector(kept->position);
+    ray.direction = kept_vector(kept->direction);
+    ray.voxel = (int3)(kept->voxel[0], kept->voxel[1], kept->voxel[2]);
+    ray.inside = kept->inside;
+    return ray;
+}
+
+inline void keep_ray(KEPT KeptRay *kept, Ray ray)
+{
+    keep_vector(kept->position, ray.position);
+    keep_vector(kept->direction, ray.direction);
+    kept->voxel[0] = ray.voxel.x;
+    kept->voxel[1] = ray.voxel.y;
+    kept->voxel[2] = ray.voxel.z;
+    kept->inside = ray.inside;
+}
 
 /* A walk along a ray, in plain numbers: compilers for CPUs keep vectors of three in memory, or
  * take them apart and together at every step. */

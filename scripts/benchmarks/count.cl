@@ -51,6 +51,7 @@ inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalE
 
 __kernel void count_paths(COUNT_PATHS_PARAMETERS)
 {
+    KEPT_FOR_ITEM(Interaction, at);
     const size_t item = get_global_id(0);
     if (item >= path_count)
         return;
@@ -59,6 +60,6 @@ __kernel void count_paths(COUNT_PATHS_PARAMETERS)
     const SampleKey key = {seed, stream, pixel.y, pixel.x, first_sample + (uint)(path / pixel_count)};
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
     Tally tally = {0.0f, 1.0f, 1u, crossings + (size_t)path * EVENTS_COUNTED};
-    walk_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &tally);
+    walk_path(&medium, at, camera_ray(scene, views + pixel.x, rays, &key), &key, &tally);
     events[path] = tally.event;
 }

@@ -1,0 +1,34 @@
+/* Where a path's state is kept while it flies.
+ *
+ * On CPUs in variables like any other. NVIDIA's GPUs lack registers for it: there (CLOUDTOMO_KEEPS_LOCAL) it lies in
+ * local memory, and is volatile, so that compilers do not load it ahead of the flights. Structs that are kept have an
+ * odd number of words of 32 bits and nothing else: then what the items of a group keep lies in different banks.
+ *
+ *   KEPT                         before the type of what is kept
+ *   KEPT_FOR_ITEM(type, name)    declares `name`, a pointer to what this work item keeps; in a kernel, not in a branch
+ */
+#ifndef CLOUDTOMO_KEPT_H
+#define CLOUDTOMO_KEPT_H
+
+#ifdef CLOUDTOMO_KEEPS_LOCAL
+#define KEPT volatile __local
+#define KEPT_FOR_ITEM(type, name) \
+    __local type name##_of_items[WORK_GROUP_SIZE]; \
+    KEPT type *const name = name##_of_items + get_local_id(0)
+#else
+#define KEPT
+#define KEPT_FOR_ITEM(type, name) \
+    type name##_of_item; \
+    type *const name = &name##_of_item
+#endif
+
+inline float3 kept_vector(const KEPT float *kept) { return (float3)(kept[0], kept[1], kept[2]); }
+
+inline void keep_vector(KEPT float *kept, float3 vector)
+{
+    kept[0] = vector.x;
+    kept[1] = vector.y;
+    kept[2] = vector.z;
+}
+
+#endif
