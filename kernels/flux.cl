@@ -38,7 +38,7 @@ inline void on_absorption(const Medium *medium, const KEPT Interaction *at, floa
     const bool by_surface = at->particle == PARTICLE_SURFACE;
     budget_absorption(&tally->budget, by_surface, weight);
     if (!by_surface)
-        tally_column(medium->scene, FLUX_ABSORBED, kept_vector(at->ray.position), weight, tally);
+        tally_column(medium->scene, FLUX_ABSORBED, kept_vector(&at->ray.position), weight, tally);
 }
 
 inline void on_interaction(const Medium *medium, const Segment *segment, const Flight *flight,

@@ -41,7 +41,7 @@ static float side_radiance(const Medium *medium, const KEPT Interaction *at, flo
     float albedo;
     const Particle droplet = choose_droplet(medium, index, v.w, &albedo);
     const float weight = at->throughput * albedo * share
-                         * scatter_density(medium, droplet, kept_vector(at->ray.direction), sun_direction(medium->scene));
+                         * scatter_density(medium, droplet, kept_vector(&at->ray.direction), sun_direction(medium->scene));
     const Ray ray = kept_ray(&at->ray);
     return local_estimate(medium, &ray, weight, LOCAL_ESTIMATE_ROULETTE, v.x).radiance;
 }

@@ -20,7 +20,7 @@ typedef struct {
     Particle particle;
     float throughput;       /* of the path, after it: product of single-scattering albedos, over survival */
     uint event;             /* number of the segment that ends here */
-    float new_direction[3]; /* in which the path goes on */
+    KeptVector new_direction; /* in which the path goes on */
     float u_particle;       /* uniform numbers: for the particle */
     float u_scattering[2];  /* for the new direction */
     float u_estimate;       /* for the roulette on the local estimate */

@@ -19,28 +19,28 @@ typedef struct {
 
 /* A ray where it is kept. */
 typedef struct {
-    float position[3], direction[3];
-    int voxel[3];
+    KeptVector position, direction;
+    KeptVoxel voxel;
     int inside;
 } KeptRay;
 
 inline Ray kept_ray(const KEPT KeptRay *kept)
 {
     Ray ray;
-    ray.position = kept_vector(kept->position);
-    ray.direction = kept_vector(kept->direction);
-    ray.voxel = (int3)(kept->voxel[0], kept->voxel[1], kept->voxel[2]);
+    ray.position = kept_vector(&kept->position);
+    ray.direction = kept_vector(&kept->direction);
+    ray.voxel = (int3)(kept->voxel.x, kept->voxel.y, kept->voxel.z);
     ray.inside = kept->inside;
     return ray;
 }
 
 inline void keep_ray(KEPT KeptRay *kept, Ray ray)
 {
-    keep_vector(kept->position, ray.position);
-    keep_vector(kept->direction, ray.direction);
-    kept->voxel[0] = ray.voxel.x;
-    kept->voxel[1] = ray.voxel.y;
-    kept->voxel[2] = ray.voxel.z;
+    keep_vector(&kept->position, ray.position);
+    keep_vector(&kept->direction, ray.direction);
+    kept->voxel.x = ray.voxel.x;
+    kept->voxel.y = ray.voxel.y;
+    kept->voxel.z = ray.voxel.z;
     kept->inside = ray.inside;
 }
 

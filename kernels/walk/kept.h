@@ -15,20 +15,39 @@
 #define KEPT_FOR_ITEM(type, name) \
     __local type name##_of_items[WORK_GROUP_SIZE]; \
     KEPT type *const name = name##_of_items + get_local_id(0)
+typedef struct {
+    float x, y, z;
+} KeptVector;
+typedef struct {
+    int x, y, z;
+} KeptVoxel;
 #else
 #define KEPT
 #define KEPT_FOR_ITEM(type, name) \
     type name##_of_item; \
     type *const name = &name##_of_item
+typedef float3 KeptVector;
+typedef int3 KeptVoxel;
 #endif
 
-inline float3 kept_vector(const KEPT float *kept) { return (float3)(kept[0], kept[1], kept[2]); }
-
-inline void keep_vector(KEPT float *kept, float3 vector)
+inline float3 kept_vector(const KEPT KeptVector *kept)
 {
-    kept[0] = vector.x;
-    kept[1] = vector.y;
-    kept[2] = vector.z;
+#ifdef CLOUDTOMO_KEEPS_LOCAL
+    return (float3)(kept->x, kept->y, kept->z);
+#else
+    return *kept;
+#endif
+}
+
+inline void keep_vector(KEPT KeptVector *kept, float3 vector)
+{
+#ifdef CLOUDTOMO_KEEPS_LOCAL
+    kept->x = vector.x;
+    kept->y = vector.y;
+    kept->z = vector.z;
+#else
+    *kept = vector;
+#endif
 }
 
 #endif

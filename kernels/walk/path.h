@@ -81,7 +81,7 @@ inline bool walk_event(const Medium *medium, KEPT Interaction *at, Tally *tally)
             return false;
         }
         move_to_surface(scene, &ray);
-        keep_vector(at->ray.position, ray.position);
+        keep_vector(&at->ray.position, ray.position);
         at->particle = PARTICLE_SURFACE;
         albedo = scene->surface_albedo;
     }
@@ -101,10 +101,10 @@ inline bool walk_event(const Medium *medium, KEPT Interaction *at, Tally *tally)
         }
         at->throughput = PATH_ROULETTE_THROUGHPUT;
     }
-    keep_vector(at->new_direction, sample_scatter(medium, at->particle, kept_vector(at->ray.direction),
+    keep_vector(&at->new_direction, sample_scatter(medium, at->particle, kept_vector(&at->ray.direction),
                                                   (float2)(at->u_scattering[0], at->u_scattering[1])));
     on_scattering(medium, at, tally);
-    keep_vector(at->ray.direction, kept_vector(at->new_direction));
+    keep_vector(&at->ray.direction, kept_vector(&at->new_direction));
     ++at->event;
     return true;
 }

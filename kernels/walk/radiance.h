@@ -98,7 +98,7 @@ inline void on_interaction(const Medium *medium, const Segment *segment, const F
     const bool on_surface = at->particle == PARTICLE_SURFACE;
     const float share = tally->own_share;
     const float weight = (on_surface ? 1.0f : share) * at->throughput
-                         * scatter_density(medium, at->particle, kept_vector(at->ray.direction), sun_direction(scene));
+                         * scatter_density(medium, at->particle, kept_vector(&at->ray.direction), sun_direction(scene));
     /* What a camera sees directly, and the ground, stay free of the roulette's noise. */
     const bool plays = scene->side_flights && at->event > 1u && !on_surface;
     const Ray ray = kept_ray(&at->ray);
@@ -116,11 +116,11 @@ inline void on_scattering(const Medium *medium, const KEPT Interaction *at, Tall
     const __constant Scene *scene = medium->scene;
     if (!scene->side_flights)
         return;
-    const float wide = henyey_greenstein(scalar_product(kept_vector(at->ray.direction), sun_direction(scene)), scene->wide_g);
+    const float wide = henyey_greenstein(scalar_product(kept_vector(&at->ray.direction), sun_direction(scene)), scene->wide_g);
     const float count = within(SIDE_FLIGHT_RATE * at->throughput * wide, SIDE_FLIGHT_LEAST, SIDE_FLIGHT_MOST);
     side_flights(medium, at, count, tally);
-    const float3 new_direction = kept_vector(at->new_direction);
-    const float density = scatter_density(medium, at->particle, kept_vector(at->ray.direction), new_direction);
+    const float3 new_direction = kept_vector(&at->new_direction);
+    const float density = scatter_density(medium, at->particle, kept_vector(&at->ray.direction), new_direction);
     tally->own_share = density / (density + count * sun_density(medium, new_direction));
 }
 
