@@ -60,9 +60,6 @@ inline bool walk_event(const Medium *medium, KEPT Interaction *at, Tally *tally)
 {
     const __constant Scene *scene = medium->scene;
     const float4 u = path_uniforms(at, BLOCK_EVENT);
-    at->u_particle = u.y;
-    at->u_scattering[0] = u.z;
-    at->u_scattering[1] = u.w;
     Ray ray = kept_ray(&at->ray);
     const Segment segment = {ray, -logarithm(u.x), at->throughput, at->event};
     const Flight flight = on_flight(medium, &ray, &segment, tally);
@@ -71,7 +68,7 @@ inline bool walk_event(const Medium *medium, KEPT Interaction *at, Tally *tally)
     float albedo;
     if (flight.collided) {
         at->particle =
-            choose_particle(medium, flight.droplets, flight.air, flight.index, at->u_particle, v.w, &albedo);
+            choose_particle(medium, flight.droplets, flight.air, flight.index, u.y, v.w, &albedo);
     } else {
         const Termination termination = termination_of(scene, &ray, &flight);
         const bool ends = termination == TERMINATION_LOST || !meets_surface(scene, &ray);
@@ -86,14 +83,13 @@ inline bool walk_event(const Medium *medium, KEPT Interaction *at, Tally *tally)
         albedo = scene->surface_albedo;
     }
     at->u_estimate = v.x;
-    at->u_roulette = v.y;
     at->u_side_flights = v.z;
     on_absorption(medium, at, at->throughput * (1.0f - albedo), tally);
     at->throughput *= albedo;
     on_interaction(medium, &segment, &flight, at, tally);
     const float throughput = at->throughput;
     if (throughput < PATH_ROULETTE_THROUGHPUT) {
-        const bool survives = at->u_roulette * PATH_ROULETTE_THROUGHPUT < throughput;
+        const bool survives = v.y * PATH_ROULETTE_THROUGHPUT < throughput;
         on_roulette(throughput, PATH_ROULETTE_THROUGHPUT, survives, tally);
         if (!survives) {
             on_termination(TERMINATION_KILLED, throughput, tally);
@@ -102,7 +98,7 @@ inline bool walk_event(const Medium *medium, KEPT Interaction *at, Tally *tally)
         at->throughput = PATH_ROULETTE_THROUGHPUT;
     }
     keep_vector(&at->new_direction, sample_scatter(medium, at->particle, kept_vector(&at->ray.direction),
-                                                  (float2)(at->u_scattering[0], at->u_scattering[1])));
+                                                  u.zw));
     on_scattering(medium, at, tally);
     keep_vector(&at->ray.direction, kept_vector(&at->new_direction));
     ++at->event;
