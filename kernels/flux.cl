@@ -46,7 +46,8 @@ inline void on_interaction(const Medium *medium, const Segment *segment, const F
 {
 }
 
-inline void on_scattering(const Medium *medium, const KEPT Interaction *at, Tally *tally)
+inline void on_scattering(const Medium *medium, const KEPT Interaction *at, const KEPT SampleKey *key,
+                          Tally *tally)
 {
 }
 
@@ -69,6 +70,7 @@ __kernel void trace_photons(TRACE_PHOTONS_PARAMETERS)
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
     TURNS(turn, photon_count);
     GROUP_BUDGET(group_budget, budget);
+    KEPT_FOR_ITEM(SampleKey, key);
     KEPT_FOR_ITEM(Interaction, at);
     Tally tally;
     for (bool walks = false;;) {
@@ -76,13 +78,14 @@ __kernel void trace_photons(TRACE_PHOTONS_PARAMETERS)
             if (!next_turn(&turn))
                 break;
             const uint sample = first_sample + turn.item / pixel_count;
-            const SampleKey key = sample_key(seed, 0u, (uint2)(SUN_VIEW, turn.item % pixel_count), sample);
+            const SampleKey own = sample_key(seed, 0u, (uint2)(SUN_VIEW, turn.item % pixel_count), sample);
             tally.budget = empty_budget(group_budget);
             tally.columns = columns;
-            start_path(at, &key, camera_ray(scene, sun_view, 0, &key));
+            keep_key(key, &own);
+            start_path(at, camera_ray(scene, sun_view, 0, &own));
         }
         do
-            walks = walk_event(&medium, at, &tally);
+            walks = walk_event(&medium, at, key, &tally);
         while (walks && !REGENERATES);
     }
     close_group_budget(group_budget, budget);

@@ -60,6 +60,7 @@ __kernel void render_paths(RENDER_PATHS_PARAMETERS)
     TURNS(turn, path_count);
     GROUP_BUDGET(group_budget, budget);
     uint path = 0u;
+    KEPT_FOR_ITEM(SampleKey, key);
     KEPT_FOR_ITEM(Interaction, at);
     Tally tally;
     for (bool walks = false;;) {
@@ -68,12 +69,13 @@ __kernel void render_paths(RENDER_PATHS_PARAMETERS)
                 break;
             path = path_of_item(turn.item, pixel_count, path_count);
             const uint2 pixel = pixels[path % pixel_count];
-            const SampleKey key = sample_key(seed, stream, pixel, first_sample + path / pixel_count);
+            const SampleKey own = sample_key(seed, stream, pixel, first_sample + path / pixel_count);
             tally = empty_tally(group_budget);
-            start_path(at, &key, camera_ray(scene, views + pixel.x, rays, &key));
+            keep_key(key, &own);
+            start_path(at, camera_ray(scene, views + pixel.x, rays, &own));
         }
         do
-            walks = walk_event(&medium, at, &tally);
+            walks = walk_event(&medium, at, key, &tally);
         while (walks && !REGENERATES);
         if (!walks)
             path_radiance[path] = tally.radiance;

@@ -10,7 +10,7 @@
  *       the path has left all that scatters, at `ray`; it ends there, or goes on to the surface
  *   void on_interaction(medium, const Segment *segment, const Flight *flight, const Interaction *at, tally)
  *       the segment ends in a collision, or at the surface
- *   void on_scattering(medium, const Interaction *at, tally)
+ *   void on_scattering(medium, const Interaction *at, const SampleKey *key, tally)
  *       the path goes on from there, in at->new_direction
  *   void on_absorption(medium, const Interaction *at, float weight, tally)
  *       what the path's throughput has lost there
@@ -56,36 +56,36 @@ inline Termination termination_of(const __constant Scene *scene, const Ray *ray,
 
 /* Walks a path on from `at`, its last interaction, to the next; false if it has come to its end. Of `at` count the ray
  * along which the path is to go on, the throughput, and the number of the segment that begins there. */
-inline bool walk_event(const Medium *medium, KEPT Interaction *at, Tally *tally)
+inline bool walk_event(const Medium *medium, KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally)
 {
     const __constant Scene *scene = medium->scene;
-    const float4 u = path_uniforms(at, BLOCK_EVENT);
-    Ray ray = kept_ray(&at->ray);
-    const Segment segment = {ray, -logarithm(u.x), at->throughput, at->event};
-    const Flight flight = on_flight(medium, &ray, &segment, tally);
+    const float4 u = event_uniforms(key, at->event, BLOCK_EVENT);
+    RAY_OF(ray, &at->ray);
+    const Segment segment = {*ray, -logarithm(u.x), at->throughput, at->event};
+    const Flight flight = on_flight(medium, ray, &segment, tally);
     keep_ray(&at->ray, ray);
-    const float4 v = path_uniforms(at, BLOCK_ROULETTE);
-    float albedo;
+    const float4 v = event_uniforms(key, at->event, BLOCK_ROULETTE);
     if (flight.collided) {
-        at->particle =
-            choose_particle(medium, flight.droplets, flight.air, flight.index, u.y, v.w, &albedo);
+        float albedo;
+        at->particle = choose_particle(medium, flight.droplets, flight.air, flight.index, u.y, v.w, &albedo);
+        at->albedo = albedo;
     } else {
-        const Termination termination = termination_of(scene, &ray, &flight);
-        const bool ends = termination == TERMINATION_LOST || !meets_surface(scene, &ray);
-        on_leaving(medium, &segment, &flight, &ray, termination, ends, tally);
+        const Termination termination = termination_of(scene, ray, &flight);
+        const bool ends = termination == TERMINATION_LOST || !meets_surface(scene, ray);
+        on_leaving(medium, &segment, &flight, ray, termination, ends, tally);
         if (ends) {
             on_termination(termination, at->throughput, tally);
             return false;
         }
-        move_to_surface(scene, &ray);
-        keep_vector(&at->ray.position, ray.position);
+        move_to_surface(scene, ray);
+        keep_ray(&at->ray, ray);
         at->particle = PARTICLE_SURFACE;
-        albedo = scene->surface_albedo;
+        at->albedo = scene->surface_albedo;
     }
     at->u_estimate = v.x;
     at->u_side_flights = v.z;
-    on_absorption(medium, at, at->throughput * (1.0f - albedo), tally);
-    at->throughput *= albedo;
+    on_absorption(medium, at, at->throughput * (1.0f - at->albedo), tally);
+    at->throughput *= at->albedo;
     on_interaction(medium, &segment, &flight, at, tally);
     const float throughput = at->throughput;
     if (throughput < PATH_ROULETTE_THROUGHPUT) {
@@ -97,35 +97,34 @@ inline bool walk_event(const Medium *medium, KEPT Interaction *at, Tally *tally)
         }
         at->throughput = PATH_ROULETTE_THROUGHPUT;
     }
-    keep_vector(&at->new_direction, sample_scatter(medium, at->particle, kept_vector(&at->ray.direction),
-                                                  u.zw));
-    on_scattering(medium, at, tally);
+    keep_vector(&at->new_direction, sample_scatter(medium, at->particle, kept_vector(&at->ray.direction), u.zw));
+    on_scattering(medium, at, key, tally);
     keep_vector(&at->ray.direction, kept_vector(&at->new_direction));
     ++at->event;
     return true;
 }
 
 /* Walks a path on to its end. */
-inline void walk_on(const Medium *medium, KEPT Interaction *at, Tally *tally)
+inline void walk_on(const Medium *medium, KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally)
 {
-    while (walk_event(medium, at, tally)) {
+    while (walk_event(medium, at, key, tally)) {
     }
 }
 
 /* Where a whole path begins: with its first ray. */
-inline void start_path(KEPT Interaction *at, const SampleKey *key, Ray first_ray)
+inline void start_path(KEPT Interaction *at, Ray first_ray)
 {
-    at->key = *key;
-    keep_ray(&at->ray, first_ray);
+    keep_ray(&at->ray, &first_ray);
     at->throughput = 1.0f;
     at->event = 1u;
 }
 
 /* Walks a whole path from its first ray. */
-inline void walk_path(const Medium *medium, KEPT Interaction *at, Ray first_ray, const SampleKey *key, Tally *tally)
+inline void walk_path(const Medium *medium, KEPT Interaction *at, Ray first_ray, const KEPT SampleKey *key,
+                      Tally *tally)
 {
-    start_path(at, key, first_ray);
-    walk_on(medium, at, tally);
+    start_path(at, first_ray);
+    walk_on(medium, at, key, tally);
 }
 
 #endif

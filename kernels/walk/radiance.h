@@ -42,10 +42,11 @@
  * next order's sunlight, combined with the path's own next collision by the balance heuristic
  * (Veach and Guibas 1995); they take the load of the rare, huge local estimates that a
  * forward peak gives. `count` is their expected number; this is the one of number n. */
-inline void side_flight(const Medium *medium, const KEPT Interaction *at, float count, uint n, Tally *tally)
+inline void side_flight(const Medium *medium, const KEPT Interaction *at, float count, uint n, const KEPT SampleKey *key,
+                        Tally *tally)
 {
     const uint block = BLOCK_SIDE + 2u * n;
-    const float4 v = path_uniforms(at, block);
+    const float4 v = event_uniforms(key, at->event, block);
     Ray ray = kept_ray(&at->ray);
     const float3 arriving = ray.direction;
     ray.direction = sample_around_sun(medium, v.zw);
@@ -61,7 +62,7 @@ inline void side_flight(const Medium *medium, const KEPT Interaction *at, float 
         tally_side_flight(medium, &segment, &flight, PARTICLE_NONE, share, 0.0f, tally);
         return;
     }
-    const float2 w = path_uniforms(at, block + 1u).xy;
+    const float2 w = event_uniforms(key, at->event, block + 1u).xy;
     float albedo;
     const Particle end = choose_particle(medium, flight.droplets, flight.air, flight.index, v.y, w.y, &albedo);
     const float weight =
@@ -72,11 +73,12 @@ inline void side_flight(const Medium *medium, const KEPT Interaction *at, float 
     tally->radiance += estimate.radiance;
 }
 
-LARGE_FUNCTION void side_flights(const Medium *medium, const KEPT Interaction *at, float count, Tally *tally)
+LARGE_FUNCTION void side_flights(const Medium *medium, const KEPT Interaction *at, float count,
+                                 const KEPT SampleKey *key, Tally *tally)
 {
     const uint flights = (uint)(count + at->u_side_flights);
     for (uint n = 0; n < flights; ++n)
-        side_flight(medium, at, count, n, tally);
+        side_flight(medium, at, count, n, key, tally);
 }
 
 inline Flight on_flight(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)
@@ -101,24 +103,25 @@ inline void on_interaction(const Medium *medium, const Segment *segment, const F
                          * scatter_density(medium, at->particle, kept_vector(&at->ray.direction), sun_direction(scene));
     /* What a camera sees directly, and the ground, stay free of the roulette's noise. */
     const bool plays = scene->side_flights && at->event > 1u && !on_surface;
-    const Ray ray = kept_ray(&at->ray);
+    RAY_OF(ray, &at->ray);
     const LocalEstimate estimate =
-        local_estimate(medium, &ray, weight, plays ? LOCAL_ESTIMATE_ROULETTE : 0.0f, at->u_estimate);
-    const Ray again = kept_ray(&at->ray);
-    tally_shadow_ray(medium, &again, &estimate, tally);
+        local_estimate(medium, ray, weight, plays ? LOCAL_ESTIMATE_ROULETTE : 0.0f, at->u_estimate);
+    RAY_OF(again, &at->ray);
+    tally_shadow_ray(medium, again, &estimate, tally);
     tally->radiance += estimate.radiance;
     tally_segment(medium, segment, flight, at->particle, share, estimate.radiance, tally);
     tally->own_share = 1.0f;
 }
 
-inline void on_scattering(const Medium *medium, const KEPT Interaction *at, Tally *tally)
+inline void on_scattering(const Medium *medium, const KEPT Interaction *at, const KEPT SampleKey *key,
+                          Tally *tally)
 {
     const __constant Scene *scene = medium->scene;
     if (!scene->side_flights)
         return;
     const float wide = henyey_greenstein(scalar_product(kept_vector(&at->ray.direction), sun_direction(scene)), scene->wide_g);
     const float count = within(SIDE_FLIGHT_RATE * at->throughput * wide, SIDE_FLIGHT_LEAST, SIDE_FLIGHT_MOST);
-    side_flights(medium, at, count, tally);
+    side_flights(medium, at, count, key, tally);
     const float3 new_direction = kept_vector(&at->new_direction);
     const float density = scatter_density(medium, at->particle, kept_vector(&at->ray.direction), new_direction);
     tally->own_share = density / (density + count * sun_density(medium, new_direction));

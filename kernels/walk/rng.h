@@ -25,6 +25,15 @@ inline SampleKey kept_key(const KEPT SampleKey *kept)
     return key;
 }
 
+inline void keep_key(KEPT SampleKey *kept, const SampleKey *key)
+{
+    kept->seed = key->seed;
+    kept->stream = key->stream;
+    kept->pixel = key->pixel;
+    kept->view = key->view;
+    kept->sample = key->sample;
+}
+
 /* Of a sample of a camera's pixel (view, row * width + column). */
 inline SampleKey sample_key(uint seed, uint stream, uint2 pixel, uint sample)
 {
@@ -84,6 +93,13 @@ inline float4 uniforms(const SampleKey *key, uint block)
     const philox4x32_ctr_t c = {{key->pixel, key->view, key->sample, block}};
     const philox4x32_ctr_t r = philox_rounds(c, k);
     return (float4)(open_uniform(r.v[0]), open_uniform(r.v[1]), open_uniform(r.v[2]), open_uniform(r.v[3]));
+}
+
+/* Of an event of a path whose key is kept. */
+inline float4 event_uniforms(const KEPT SampleKey *key, uint event, uint block)
+{
+    const SampleKey own = kept_key(key);
+    return uniforms(&own, event * BLOCKS_PER_EVENT + block);
 }
 
 #endif
