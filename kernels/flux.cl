@@ -5,7 +5,8 @@
 #include "walk/turns.h"
 
 typedef struct {
-    Budget budget;
+    KEPT Budget *budget;
+    BudgetSums sums;                        /* of all photons' budgets */
     volatile __global Accumulator *columns; /* weights, [Flux][x][y] */
 } Tally;
 
@@ -36,7 +37,7 @@ inline void on_leaving(const Medium *medium, const Segment *segment, const Fligh
 inline void on_absorption(const Medium *medium, const KEPT Interaction *at, float weight, Tally *tally)
 {
     const bool by_surface = at->particle == PARTICLE_SURFACE;
-    budget_absorption(&tally->budget, by_surface, weight);
+    budget_absorption(tally->budget, by_surface, weight);
     if (!by_surface)
         tally_column(medium->scene, FLUX_ABSORBED, kept_vector(&at->ray.position), weight, tally);
 }
@@ -53,12 +54,12 @@ inline void on_scattering(const Medium *medium, const KEPT Interaction *at, cons
 
 inline void on_roulette(float throughput, float raised, bool survives, Tally *tally)
 {
-    budget_roulette(&tally->budget, throughput, raised, survives);
+    budget_roulette(tally->budget, throughput, raised, survives);
 }
 
 inline void on_termination(Termination termination, float throughput, Tally *tally)
 {
-    budget_termination(&tally->budget, termination, throughput);
+    budget_termination(tally->budget, termination, throughput, tally->sums);
 }
 
 #include "walk/path.h"
@@ -72,15 +73,18 @@ __kernel void trace_photons(TRACE_PHOTONS_PARAMETERS)
     GROUP_BUDGET(group_budget, budget);
     KEPT_FOR_ITEM(SampleKey, key);
     KEPT_FOR_ITEM(Interaction, at);
+    KEPT_FOR_ITEM(Budget, own_budget);
     Tally tally;
+    tally.budget = own_budget;
+    tally.sums = group_budget;
+    tally.columns = columns;
     for (bool walks = false;;) {
         if (!walks) {
             if (!next_turn(&turn))
                 break;
             const uint sample = first_sample + turn.item / pixel_count;
             const SampleKey own = sample_key(seed, 0u, (uint2)(SUN_VIEW, turn.item % pixel_count), sample);
-            tally.budget = empty_budget(group_budget);
-            tally.columns = columns;
+            clear_budget(own_budget);
             keep_key(key, &own);
             start_path(at, camera_ray(scene, sun_view, 0, &own));
         }
