@@ -47,10 +47,7 @@ inline void on_interaction(const Medium *medium, const Segment *segment, const F
 {
 }
 
-inline void on_scattering(const Medium *medium, const KEPT Interaction *at, const KEPT SampleKey *key,
-                          Tally *tally)
-{
-}
+inline void on_scattering(const Medium *medium, const KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally) {}
 
 inline void on_roulette(float throughput, float raised, bool survives, Tally *tally)
 {
@@ -71,9 +68,7 @@ __kernel void trace_photons(TRACE_PHOTONS_PARAMETERS)
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
     TURNS(turn, photon_count);
     GROUP_BUDGET(group_budget, budget);
-    KEPT_FOR_ITEM(SampleKey, key);
-    KEPT_FOR_ITEM(Interaction, at);
-    KEPT_FOR_ITEM(Budget, own_budget);
+    KEPT_TOGETHER(SampleKey, key, Interaction, at, Budget, own_budget);
     Tally tally;
     tally.budget = own_budget;
     tally.sums = group_budget;

@@ -55,9 +55,7 @@ __kernel void render_paths(RENDER_PATHS_PARAMETERS)
     TURNS(turn, path_count);
     GROUP_BUDGET(group_budget, budget);
     uint path = 0u;
-    KEPT_FOR_ITEM(SampleKey, key);
-    KEPT_FOR_ITEM(Interaction, at);
-    KEPT_FOR_ITEM(Budget, own_budget);
+    KEPT_TOGETHER(SampleKey, key, Interaction, at, Budget, own_budget);
     Tally tally;
     tally.budget = own_budget;
     tally.sums = group_budget;

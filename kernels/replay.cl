@@ -175,9 +175,7 @@ __kernel void replay_paths(REPLAY_PATHS_PARAMETERS)
 {
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
     TURNS(turn, path_count);
-    KEPT_FOR_ITEM(SampleKey, key);
-    KEPT_FOR_ITEM(Interaction, at);
-    KEPT_FOR_ITEM(Replayed, replayed);
+    KEPT_TOGETHER(SampleKey, key, Interaction, at, Replayed, replayed);
     Tally tally;
     tally.path = replayed;
     tally.virtual_extinction = virtual_extinction;

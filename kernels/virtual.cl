@@ -41,8 +41,9 @@ static float side_radiance(const Medium *medium, const KEPT Interaction *at, flo
     const float4 v = event_uniforms(key, at->event, BLOCK_ROULETTE);
     float albedo;
     const Particle droplet = choose_droplet(medium, index, v.w, &albedo);
-    const float weight = at->throughput * albedo * share
-                         * scatter_density(medium, droplet, kept_vector(&at->ray.direction), sun_direction(medium->scene));
+    const float weight =
+        at->throughput * albedo * share
+        * scatter_density(medium, droplet, kept_vector(&at->ray.direction), sun_direction(medium->scene));
     RAY_OF(ray, &at->ray);
     return local_estimate(medium, ray, weight, LOCAL_ESTIMATE_ROULETTE, v.x).radiance;
 }

@@ -1,11 +1,12 @@
 /* Where a path's state is kept while it flies.
  *
  * On CPUs in variables like any other. NVIDIA's GPUs lack registers for it: there (CLOUDTOMO_KEEPS_LOCAL) it lies in
- * local memory, and is volatile, so that compilers do not load it ahead of the flights. Structs that are kept have an
- * odd number of words of 32 bits and nothing else: then what the items of a group keep lies in different banks.
+ * local memory, and is volatile, so that compilers do not load it ahead of the flights. What a work item keeps has an
+ * odd number of words of 32 bits and nothing else, so that what the items of a group keep lies in different banks.
  *
  *   KEPT                         before the type of what is kept
  *   KEPT_FOR_ITEM(type, name)    declares `name`, a pointer to what this work item keeps; in a kernel, not in a branch
+ *   KEPT_TOGETHER(...)           the same of three types and names, beside each other
  */
 #ifndef CLOUDTOMO_KEPT_H
 #define CLOUDTOMO_KEPT_H
@@ -15,6 +16,15 @@
 #define KEPT_FOR_ITEM(type, name) \
     __local type name##_of_items[WORK_GROUP_SIZE]; \
     KEPT type *const name = name##_of_items + get_local_id(0)
+#define KEPT_TOGETHER(type1, name1, type2, name2, type3, name3) \
+    __local struct { \
+        type1 name1; \
+        type2 name2; \
+        type3 name3; \
+    } name1##_of_items[WORK_GROUP_SIZE]; \
+    KEPT type1 *const name1 = &name1##_of_items[get_local_id(0)].name1; \
+    KEPT type2 *const name2 = &name1##_of_items[get_local_id(0)].name2; \
+    KEPT type3 *const name3 = &name1##_of_items[get_local_id(0)].name3
 typedef struct {
     float x, y, z;
 } KeptVector;
@@ -26,6 +36,10 @@ typedef struct {
 #define KEPT_FOR_ITEM(type, name) \
     type name##_of_item; \
     type *const name = &name##_of_item
+#define KEPT_TOGETHER(type1, name1, type2, name2, type3, name3) \
+    KEPT_FOR_ITEM(type1, name1); \
+    KEPT_FOR_ITEM(type2, name2); \
+    KEPT_FOR_ITEM(type3, name3)
 typedef float3 KeptVector;
 typedef int3 KeptVoxel;
 #endif

@@ -42,8 +42,8 @@
  * next order's sunlight, combined with the path's own next collision by the balance heuristic
  * (Veach and Guibas 1995); they take the load of the rare, huge local estimates that a
  * forward peak gives. `count` is their expected number; this is the one of number n. */
-inline void side_flight(const Medium *medium, const KEPT Interaction *at, float count, uint n, const KEPT SampleKey *key,
-                        Tally *tally)
+inline void side_flight(const Medium *medium, const KEPT Interaction *at, float count, uint n,
+                        const KEPT SampleKey *key, Tally *tally)
 {
     const uint block = BLOCK_SIDE + 2u * n;
     const float4 v = event_uniforms(key, at->event, block);
@@ -113,13 +113,13 @@ inline void on_interaction(const Medium *medium, const Segment *segment, const F
     tally->own_share = 1.0f;
 }
 
-inline void on_scattering(const Medium *medium, const KEPT Interaction *at, const KEPT SampleKey *key,
-                          Tally *tally)
+inline void on_scattering(const Medium *medium, const KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally)
 {
     const __constant Scene *scene = medium->scene;
     if (!scene->side_flights)
         return;
-    const float wide = henyey_greenstein(scalar_product(kept_vector(&at->ray.direction), sun_direction(scene)), scene->wide_g);
+    const float wide =
+        henyey_greenstein(scalar_product(kept_vector(&at->ray.direction), sun_direction(scene)), scene->wide_g);
     const float count = within(SIDE_FLIGHT_RATE * at->throughput * wide, SIDE_FLIGHT_LEAST, SIDE_FLIGHT_MOST);
     side_flights(medium, at, count, key, tally);
     const float3 new_direction = kept_vector(&at->new_direction);

@@ -23,7 +23,7 @@ def stepping():
     patch = pytest.MonkeyPatch()
     patch.setattr(device_module, "_GROUPS_OF_UNIT", 3)
     device = choose_device()
-    device.regenerates = device.calls = True
+    device.regenerates = device.keeps_local = True
     yield device
     patch.undo()
 
