@@ -368,8 +368,8 @@ class Device:
     def launch(self, kernel: Any, work_items: int, *arguments: Any, global_offset: int = 0, **named: Any) -> Any:
         """Queues a kernel on at least `work_items` work items from `global_offset` on (kernels skip the rest).
 
-        Of kernels that take turns (kernels/walk/turns.h) these are the paths, which fewer work items walk. Returns the event
-        of its end.
+        Of kernels that take turns (kernels/walk/turns.h) these are the paths, which fewer work items walk. Returns its
+        event.
         """
         turns = 1
         if getattr(kernel, "takes_turns", False):
