@@ -15,7 +15,8 @@ def dialect(regenerates: bool, keeps_local: bool, group_size: int) -> list[str]:
     `inline` is an order: compilers for CPUs make functions of what is called in innermost loops. The few large
     functions that they had better keep are LARGE_FUNCTIONs; all inlined, the kernels run 5 % faster and take twice
     the time to build. GPUs have them inlined, for a call moves what a work item keeps in registers into memory.
-    RARELY_READ keeps compilers from loading ahead of a loop what few of its rounds need. Where a path's state is kept
+    RARELY_READ keeps compilers from loading ahead of a loop what few of its rounds need, KEEPS_LOOPS chooses loops for
+    what is written out on CPUs. Where a path's state is kept
     while it flies is said in kernels/walk/kept.h.
     """
     always = "inline __attribute__((always_inline))"
@@ -26,6 +27,7 @@ def dialect(regenerates: bool, keeps_local: bool, group_size: int) -> list[str]:
         *(["#define CLOUDTOMO_KEEPS_LOCAL"] if keeps_local else []),
         f"#define WORK_GROUP_SIZE {group_size}",
         f"#define RARELY_READ {'volatile' if regenerates else ''}",
+        f"#define KEEPS_LOOPS {'true' if regenerates else 'false'}",
     ]
 
 

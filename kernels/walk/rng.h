@@ -66,7 +66,6 @@ inline float open_uniform(uint bits)
     return scaled < 0.99999994f ? scaled : 0.99999994f;
 }
 
-#ifdef CLOUDTOMO_REGENERATES
 /* Philox4x32-10 as a loop: of rounds in a row compilers for GPUs keep the keys, twenty numbers, in registers. */
 inline philox4x32_ctr_t philox_rounds(philox4x32_ctr_t c, philox4x32_key_t k)
 {
@@ -83,15 +82,12 @@ inline philox4x32_ctr_t philox_rounds(philox4x32_ctr_t c, philox4x32_key_t k)
     }
     return c;
 }
-#else
-#define philox_rounds philox4x32
-#endif
 
 inline float4 uniforms(const SampleKey *key, uint block)
 {
     const philox4x32_key_t k = {{key->seed, key->stream}};
     const philox4x32_ctr_t c = {{key->pixel, key->view, key->sample, block}};
-    const philox4x32_ctr_t r = philox_rounds(c, k);
+    const philox4x32_ctr_t r = KEEPS_LOOPS ? philox_rounds(c, k) : philox4x32(c, k);
     return (float4)(open_uniform(r.v[0]), open_uniform(r.v[1]), open_uniform(r.v[2]), open_uniform(r.v[3]));
 }
 
