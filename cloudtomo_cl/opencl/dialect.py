@@ -15,9 +15,8 @@ def dialect(regenerates: bool, keeps_local: bool, group_size: int) -> list[str]:
     `inline` is an order: compilers for CPUs make functions of what is called in innermost loops. The few large
     functions that they had better keep are LARGE_FUNCTIONs; all inlined, the kernels run 5 % faster and take twice
     the time to build. GPUs have them inlined, for a call moves what a work item keeps in registers into memory.
-    RARELY_READ keeps compilers from loading ahead of a loop what few of its rounds need, KEEPS_LOOPS chooses loops for
-    what is written out on CPUs. Where a path's state is kept
-    while it flies is said in kernels/walk/kept.h.
+    RARELY_READ keeps compilers from loading ahead of a loop what few of its rounds need, KEEPS_LOOPS has loops where
+    CPUs have their rounds one after the other. kernels/walk/kept.h says where a path's state is kept while it flies.
     """
     always = "inline __attribute__((always_inline))"
     return [

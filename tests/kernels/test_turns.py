@@ -110,6 +110,25 @@ def test_a_groups_sum_that_is_too_large_is_seen(stepping):
         sums.audit()
 
 
+def test_what_work_items_keep_lies_in_different_banks(stepping):
+    source = """
+    #include "walk/budget.h"
+    #include "walk/event.h"
+    __kernel void probe(__global uint *words)
+    {
+        words[0] = sizeof(SampleKey) / 4;
+        words[1] = sizeof(Interaction) / 4;
+        words[2] = sizeof(Budget) / 4;
+    }
+    """
+    import pyopencl as cl
+
+    words = stepping.zeros(3, np.uint32)
+    cl.Kernel(stepping.build(source), "probe")(stepping.queue, (1,), None, words.data)
+    own = words.get()
+    assert list(own % 2) == [1, 1, 1] and own.sum() % 2 == 1, own
+
+
 def test_on_cpus_a_work_item_has_one_path(device):
     assert device.regenerates or device.turns(1 << 30) == 1
 
