@@ -28,8 +28,8 @@ __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
     TURNS(turn, path_count);
     uint path = 0u;
-    SampleKey key;
-    Interaction at;
+    KEPT_FOR_ITEM(SampleKey, key);
+    KEPT_FOR_ITEM(Interaction, at);
     Tally tally;
     tally.table = make_table(TABLE_ARGUMENTS);
     tally.gradient = gradient;
@@ -41,16 +41,17 @@ __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
             path = path_of_item(turn.item, pixel_count, path_count);
             const uint sample = first_sample + path / pixel_count, pixel_in_list = path % pixel_count;
             const uint2 pixel = pixels[pixel_in_list];
-            key = sample_key(seed, stream, pixel, sample);
+            const SampleKey own = sample_key(seed, stream, pixel, sample);
             tally.radiance = 0.0f;
             tally.own_share = 1.0f;
             tally.total = path_radiance[path];
             tally.adjoint = adjoint_of(adjoint, pixel_in_list, sample);
             tally.tangent = 0.0f;
-            at = path_start(camera_ray(scene, views + pixel.x, rays, &key));
+            keep_key(key, &own);
+            start_path(at, camera_ray(scene, views + pixel.x, rays, &own));
         }
         do
-            walks = walk_event(&medium, &at, &key, &tally);
+            walks = walk_event(&medium, at, key, &tally);
         while (walks && !REGENERATES);
         if (!walks) {
             check_replay(tally.radiance, tally.total, astray);

@@ -5,7 +5,8 @@
 #include "walk/turns.h"
 
 typedef struct {
-    Budget budget;
+    KEPT Budget *budget;
+    BudgetSums sums;                        /* of all photons' budgets */
     volatile __global Accumulator *columns; /* weights, [Flux][x][y] */
 } Tally;
 
@@ -33,32 +34,29 @@ inline void on_leaving(const Medium *medium, const Segment *segment, const Fligh
         tally_column(medium->scene, downward, ray->position, segment->throughput, tally);
 }
 
-inline void on_absorption(const Medium *medium, const Interaction *at, float weight, Tally *tally)
+inline void on_absorption(const Medium *medium, const KEPT Interaction *at, float weight, Tally *tally)
 {
     const bool by_surface = at->particle == PARTICLE_SURFACE;
-    budget_absorption(&tally->budget, by_surface, weight);
+    budget_absorption(tally->budget, by_surface, weight);
     if (!by_surface)
-        tally_column(medium->scene, FLUX_ABSORBED, at->ray.position, weight, tally);
+        tally_column(medium->scene, FLUX_ABSORBED, kept_vector(&at->ray.position), weight, tally);
 }
 
-inline void on_interaction(const Medium *medium, const Segment *segment, const Flight *flight, const Interaction *at,
-                           Tally *tally)
+inline void on_interaction(const Medium *medium, const Segment *segment, const Flight *flight,
+                           const KEPT Interaction *at, Tally *tally)
 {
 }
 
-inline void on_scattering(const Medium *medium, const Interaction *at, float3 new_direction, const SampleKey *key,
-                          Tally *tally)
-{
-}
+inline void on_scattering(const Medium *medium, const KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally) {}
 
 inline void on_roulette(float throughput, float raised, bool survives, Tally *tally)
 {
-    budget_roulette(&tally->budget, throughput, raised, survives);
+    budget_roulette(tally->budget, throughput, raised, survives);
 }
 
 inline void on_termination(Termination termination, float throughput, Tally *tally)
 {
-    budget_termination(&tally->budget, termination, throughput);
+    budget_termination(tally->budget, termination, throughput, tally->sums);
 }
 
 #include "walk/path.h"
@@ -70,21 +68,23 @@ __kernel void trace_photons(TRACE_PHOTONS_PARAMETERS)
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
     TURNS(turn, photon_count);
     GROUP_BUDGET(group_budget, budget);
-    SampleKey key;
-    Interaction at;
+    KEPT_TOGETHER(SampleKey, key, Interaction, at, Budget, own_budget);
     Tally tally;
+    tally.budget = own_budget;
+    tally.sums = group_budget;
+    tally.columns = columns;
     for (bool walks = false;;) {
         if (!walks) {
             if (!next_turn(&turn))
                 break;
             const uint sample = first_sample + turn.item / pixel_count;
-            key = sample_key(seed, 0u, (uint2)(SUN_VIEW, turn.item % pixel_count), sample);
-            tally.budget = empty_budget(group_budget);
-            tally.columns = columns;
-            at = path_start(camera_ray(scene, sun_view, 0, &key));
+            const SampleKey own = sample_key(seed, 0u, (uint2)(SUN_VIEW, turn.item % pixel_count), sample);
+            clear_budget(own_budget);
+            keep_key(key, &own);
+            start_path(at, camera_ray(scene, sun_view, 0, &own));
         }
         do
-            walks = walk_event(&medium, &at, &key, &tally);
+            walks = walk_event(&medium, at, key, &tally);
         while (walks && !REGENERATES);
     }
     close_group_budget(group_budget, budget);

@@ -5,14 +5,9 @@
 
 typedef struct {
     float radiance, own_share; /* of radiance.h */
-    Budget budget;
+    KEPT Budget *budget;
+    BudgetSums sums; /* of all paths' budgets */
 } Tally;
-
-inline Tally empty_tally(BudgetSums sums)
-{
-    const Tally tally = {0.0f, 1.0f, empty_budget(sums)};
-    return tally;
-}
 
 #include "walk/estimate.h"
 
@@ -33,22 +28,22 @@ inline void tally_side_flight(const Medium *medium, const Segment *segment, cons
 
 inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalEstimate *estimate, Tally *tally)
 {
-    tally->budget.truncated += estimate->removed;
+    tally->budget->truncated += estimate->removed;
 }
 
-inline void on_absorption(const Medium *medium, const Interaction *at, float weight, Tally *tally)
+inline void on_absorption(const Medium *medium, const KEPT Interaction *at, float weight, Tally *tally)
 {
-    budget_absorption(&tally->budget, at->particle == PARTICLE_SURFACE, weight);
+    budget_absorption(tally->budget, at->particle == PARTICLE_SURFACE, weight);
 }
 
 inline void on_roulette(float throughput, float raised, bool survives, Tally *tally)
 {
-    budget_roulette(&tally->budget, throughput, raised, survives);
+    budget_roulette(tally->budget, throughput, raised, survives);
 }
 
 inline void on_termination(Termination termination, float throughput, Tally *tally)
 {
-    budget_termination(&tally->budget, termination, throughput);
+    budget_termination(tally->budget, termination, throughput, tally->sums);
 }
 
 #include "walk/radiance.h"
@@ -60,21 +55,25 @@ __kernel void render_paths(RENDER_PATHS_PARAMETERS)
     TURNS(turn, path_count);
     GROUP_BUDGET(group_budget, budget);
     uint path = 0u;
-    SampleKey key;
-    Interaction at;
+    KEPT_TOGETHER(SampleKey, key, Interaction, at, Budget, own_budget);
     Tally tally;
+    tally.budget = own_budget;
+    tally.sums = group_budget;
     for (bool walks = false;;) {
         if (!walks) {
             if (!next_turn(&turn))
                 break;
             path = path_of_item(turn.item, pixel_count, path_count);
             const uint2 pixel = pixels[path % pixel_count];
-            key = sample_key(seed, stream, pixel, first_sample + path / pixel_count);
-            tally = empty_tally(group_budget);
-            at = path_start(camera_ray(scene, views + pixel.x, rays, &key));
+            const SampleKey own = sample_key(seed, stream, pixel, first_sample + path / pixel_count);
+            tally.radiance = 0.0f;
+            tally.own_share = 1.0f;
+            clear_budget(own_budget);
+            keep_key(key, &own);
+            start_path(at, camera_ray(scene, views + pixel.x, rays, &own));
         }
         do
-            walks = walk_event(&medium, &at, &key, &tally);
+            walks = walk_event(&medium, at, key, &tally);
         while (walks && !REGENERATES);
         if (!walks)
             path_radiance[path] = tally.radiance;

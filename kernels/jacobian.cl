@@ -31,8 +31,8 @@ __kernel void jacobian_paths(JACOBIAN_PATHS_PARAMETERS)
     const uint samples = path_count / pixel_count;
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
     TURNS(turn, row_count * samples);
-    SampleKey key;
-    Interaction at;
+    KEPT_FOR_ITEM(SampleKey, key);
+    KEPT_FOR_ITEM(Interaction, at);
     Tally tally;
     tally.table = make_table(TABLE_ARGUMENTS);
     tally.scene = scene;
@@ -45,17 +45,18 @@ __kernel void jacobian_paths(JACOBIAN_PATHS_PARAMETERS)
             /* Neighbours in a work group replay paths of the same pixel, which go through the same voxels. */
             const uint pixel_in_list = first_pixel + turn.item / samples, n = turn.item % samples;
             const uint2 pixel = pixels[pixel_in_list];
-            key = sample_key(seed, stream, pixel, first_sample + n);
+            const SampleKey own = sample_key(seed, stream, pixel, first_sample + n);
             tally.radiance = 0.0f;
             tally.own_share = 1.0f;
             tally.total = path_radiance[n * pixel_count + pixel_in_list];
             tally.tile = tiles + pixel_in_list;
             tally.near = near_sums + (slot_start[pixel_in_list] - slot_start[first_pixel]);
             tally.far = far_sums + (size_t)pixel_block[pixel_in_list] * block_count;
-            at = path_start(camera_ray(scene, views + pixel.x, rays, &key));
+            keep_key(key, &own);
+            start_path(at, camera_ray(scene, views + pixel.x, rays, &own));
         }
         do
-            walks = walk_event(&medium, &at, &key, &tally);
+            walks = walk_event(&medium, at, key, &tally);
         while (walks && !REGENERATES);
         if (!walks)
             check_replay(tally.radiance, tally.total, astray);

@@ -38,12 +38,15 @@ inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalE
 
 __kernel void path_lengths(PATH_LENGTHS_PARAMETERS)
 {
+    KEPT_FOR_ITEM(SampleKey, key);
+    KEPT_FOR_ITEM(Interaction, at);
     const size_t item = get_global_id(0);
     if (item >= path_count)
         return;
     const uint2 pixel = pixels[item % pixel_count];
-    const SampleKey key = {seed, stream, pixel.y, pixel.x + PATH_LENGTHS_VIEW, first_sample + (uint)item / pixel_count};
+    const SampleKey own = {seed, stream, pixel.y, pixel.x + PATH_LENGTHS_VIEW, first_sample + (uint)item / pixel_count};
+    keep_key(key, &own);
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
     Tally tally = {0.0f, 1.0f, unit, lengths};
-    walk_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &tally);
+    walk_path(&medium, at, camera_ray(scene, views + pixel.x, rays, &own), key, &tally);
 }

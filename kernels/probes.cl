@@ -30,16 +30,19 @@ inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalE
 /* `samples` paths from every voxel listed; each counts as a crossing of `length`. */
 __kernel void probe_paths(PROBE_PATHS_PARAMETERS)
 {
+    KEPT_FOR_ITEM(SampleKey, key);
+    KEPT_FOR_ITEM(Interaction, at);
     const size_t item = get_global_id(0);
     if (item >= (size_t)count * samples)
         return;
     const int index = listed[item / samples];
     const uint sample = (uint)(item % samples);
     const int layers = scene->shape[2], rows = scene->shape[1];
-    const SampleKey key = {seed, stream, (uint)index, PROBES_VIEW, sample};
-    const float4 u = uniforms(&key, 0u), v = uniforms(&key, 1u);
+    const SampleKey own = {seed, stream, (uint)index, PROBES_VIEW, sample};
+    const float4 u = uniforms(&own, 0u), v = uniforms(&own, 1u);
     const float z = 1.0f - 2.0f * ((float)sample + u.w) / (float)samples;
     const float across = sqrt(greater(1.0f - z * z, 0.0f)), azimuth = 2.0f * v.x;
+    keep_key(key, &own);
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
     Ray ray;
     ray.voxel = (int3)(index / (layers * rows), index / layers % rows, index % layers);
@@ -50,7 +53,7 @@ __kernel void probe_paths(PROBE_PATHS_PARAMETERS)
     const uint cell = cell_at(&table, column[index], ray.position);
     volatile __global Accumulator *sums = table_sums + 2u * (cell * DIRECTION_BINS + direction_bin(ray.direction));
     Tally tally = {0.0f, 1.0f};
-    walk_path(&medium, ray, &key, &tally);
+    walk_path(&medium, at, ray, key, &tally);
     accumulate(sums, TABLE_UNIT * length);
     accumulate(sums + 1, TABLE_UNIT * length * tally.radiance);
 }

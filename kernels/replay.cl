@@ -13,29 +13,29 @@
 #include "walk/replayed.h"
 #include "walk/turns.h"
 
+/* What is seldom needed of a path that is replayed. */
+typedef struct {
+    SampleKey key;           /* of the virtual collisions */
+    uint virtual_collisions; /* so far */
+    uint place;              /* of the one that is kept, in the list */
+    uint path;
+    float total;             /* the whole path's radiance, sr^-1 */
+    float throughput, share; /* of the present flight: with what another path would begin on it */
+    uint event;
+    int aside; /* whether that is a side flight */
+} Replayed;
+
 typedef struct {
     float radiance, own_share; /* of radiance.h */
-    float total;               /* the whole path's radiance, sr^-1 */
     float adjoint;             /* derivative of the cost with respect to this path's radiance, scaled */
     float remaining;           /* the adjoint payload of the path's flight: radiance that depends on it, sr^-1 */
     float virtual_depth;       /* optical depth of virtual droplets before the next is met */
-    uint virtual_collisions;   /* so far */
-    uint place;                /* of the one that is kept, in the list */
-    uint path;
-    SampleKey key;                            /* of the virtual collisions */
+    KEPT Replayed *path;
     const __global float *virtual_extinction; /* [x][y][z]; below 0: outside of the mask, nothing is deposited */
     __global VirtualCollision *list;
     volatile __global uint *listed;
     volatile __global Accumulator *gradient;
 } Tally;
-
-/* What a flight deposits, and with what another path would begin on it. */
-typedef struct {
-    float radiance; /* that depends on it, sr^-1 */
-    float throughput, share;
-    uint event;
-    bool aside; /* a side flight */
-} Payload;
 
 inline void deposit_crossing(const Tally *tally, int index, float length, float radiance)
 {
@@ -44,45 +44,48 @@ inline void deposit_crossing(const Tally *tally, int index, float length, float 
 }
 
 /* The n-th virtual collision replaces the one that is kept with probability 1 / n: each is kept as likely. */
-RARE_FUNCTION void meet_virtual_droplet(const Medium *medium, const Ray *from, const VoxelWalk *walk, float distance,
-                                        const Payload *payload, Tally *tally)
+inline void meet_virtual_droplet(const Medium *medium, const Ray *from, const VoxelWalk *walk, float distance,
+                                 Tally *tally)
 {
-    const uint n = ++tally->virtual_collisions;
-    const float2 u = uniforms(&tally->key, n).xy;
+    KEPT Replayed *path = tally->path;
+    const uint n = path->virtual_collisions + 1u;
+    path->virtual_collisions = n;
+    const SampleKey key = kept_key(&path->key);
+    const float2 u = uniforms(&key, n).xy;
     tally->virtual_depth = -logarithm(u.x);
     if (n == 1u)
-        tally->place = atomic_inc(tally->listed);
+        path->place = atomic_inc(tally->listed);
     else if (u.y * (float)n >= 1.0f)
         return;
     Ray ray = *from;
     move_to_walk(medium->scene, &ray, walk, distance);
-    __global VirtualCollision *kept = tally->list + tally->place;
+    __global VirtualCollision *kept = tally->list + path->place;
     vstore3(ray.position, 0, kept->position);
     vstore3(ray.direction, 0, kept->direction);
     vstore3(ray.voxel, 0, kept->voxel);
-    kept->throughput = payload->throughput;
-    kept->share = payload->share;
-    kept->event = payload->event;
-    kept->aside = payload->aside;
-    kept->path = tally->path;
+    kept->throughput = path->throughput;
+    kept->share = path->share;
+    kept->event = path->event;
+    kept->aside = path->aside;
+    kept->path = path->path;
 }
 
-inline void cross(const Medium *medium, const Ray *ray, const VoxelWalk *walk, float length, const Payload *payload,
+inline void cross(const Medium *medium, const Ray *ray, const VoxelWalk *walk, float length, float radiance,
                   Tally *tally)
 {
-    deposit_crossing(tally, walk->index, length, payload->radiance);
+    deposit_crossing(tally, walk->index, length, radiance);
     const float rate = tally->virtual_extinction[walk->index];
     float rest = length; /* km after the last virtual collision */
     while (rate * rest > tally->virtual_depth) {
         rest -= tally->virtual_depth / rate;
-        meet_virtual_droplet(medium, ray, walk, walk->distance + (length - rest), payload, tally);
+        meet_virtual_droplet(medium, ray, walk, walk->distance + (length - rest), tally);
     }
     tally->virtual_depth -= greater(rate * rest, 0.0f);
 }
 
 #define TRAVERSAL fly_and_deposit
-#define TRAVERSAL_CONTEXT , Payload payload, Tally *tally
-#define CROSSES(index, length) cross(medium, ray, &walk, length, &payload, tally)
+#define TRAVERSAL_CONTEXT , float radiance, Tally *tally
+#define CROSSES(index, length) cross(medium, ray, &walk, length, radiance, tally)
 #define SKIPS()
 #include "walk/traversal.h"
 
@@ -101,11 +104,20 @@ inline void deposit_collision(const Tally *tally, const Flight *flight, Particle
     accumulate(tally->gradient + flight->index, tally->adjoint * (radiance / droplets));
 }
 
+inline void begin_flight(const Segment *segment, float share, bool aside, Tally *tally)
+{
+    KEPT Replayed *path = tally->path;
+    path->throughput = segment->throughput;
+    path->share = share;
+    path->event = segment->event;
+    path->aside = aside;
+}
+
 inline Flight tally_fly(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)
 {
-    tally->remaining = remaining_radiance(tally->total, tally->radiance);
-    const Payload payload = {tally->remaining, segment->throughput, tally->own_share, segment->event, false};
-    return fly_and_deposit(medium, ray, segment->optical_depth, payload, tally);
+    tally->remaining = remaining_radiance(tally->path->total, tally->radiance);
+    begin_flight(segment, tally->own_share, false, tally);
+    return fly_and_deposit(medium, ray, segment->optical_depth, tally->remaining, tally);
 }
 
 inline void tally_segment(const Medium *medium, const Segment *segment, const Flight *flight, Particle end, float share,
@@ -117,9 +129,9 @@ inline void tally_segment(const Medium *medium, const Segment *segment, const Fl
 inline void tally_side_flight(const Medium *medium, const Segment *segment, const Flight *flight, Particle end,
                               float share, float local_radiance, Tally *tally)
 {
-    const Payload payload = {local_radiance, segment->throughput, share, segment->event, true};
+    begin_flight(segment, share, true, tally);
     Ray ray = segment->start;
-    fly_and_deposit(medium, &ray, segment->optical_depth, payload, tally);
+    fly_and_deposit(medium, &ray, segment->optical_depth, local_radiance, tally);
     deposit_collision(tally, flight, end, local_radiance);
 }
 
@@ -135,25 +147,27 @@ inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalE
 #include "walk/radiance.h"
 
 /* Before a path, whose radiance is known. */
-inline void begin_tally(Tally *tally, uint path, float total, const SampleKey *key)
+inline void begin_tally(Tally *tally, uint number, float total, SampleKey key)
 {
+    KEPT Replayed *path = tally->path;
+    key.view += VIRTUAL_COLLISIONS_VIEW;
+    keep_key(&path->key, &key);
+    path->virtual_collisions = 0u;
+    path->place = 0u;
+    path->path = number;
+    path->total = total;
     tally->radiance = 0.0f;
     tally->own_share = 1.0f;
-    tally->total = total;
     tally->remaining = 0.0f;
-    tally->key = *key;
-    tally->key.view += VIRTUAL_COLLISIONS_VIEW;
-    tally->virtual_depth = -logarithm(uniforms(&tally->key, 0u).x);
-    tally->virtual_collisions = 0u;
-    tally->place = 0u;
-    tally->path = path;
+    tally->virtual_depth = -logarithm(uniforms(&key, 0u).x);
 }
 
 inline void end_tally(const Tally *tally, volatile __global uint *astray)
 {
-    check_replay(tally->radiance, tally->total, astray);
-    if (tally->virtual_collisions > 0u)
-        tally->list[tally->place].of = tally->virtual_collisions;
+    const KEPT Replayed *path = tally->path;
+    check_replay(tally->radiance, path->total, astray);
+    if (path->virtual_collisions > 0u)
+        tally->list[path->place].of = path->virtual_collisions;
 }
 
 /* The launch may be a part of the paths: its global offset is the first. */
@@ -161,9 +175,9 @@ __kernel void replay_paths(REPLAY_PATHS_PARAMETERS)
 {
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
     TURNS(turn, path_count);
-    SampleKey key;
-    Interaction at;
+    KEPT_TOGETHER(SampleKey, key, Interaction, at, Replayed, replayed);
     Tally tally;
+    tally.path = replayed;
     tally.virtual_extinction = virtual_extinction;
     tally.list = virtual_collisions;
     tally.listed = virtual_collision_count;
@@ -178,12 +192,13 @@ __kernel void replay_paths(REPLAY_PATHS_PARAMETERS)
             if (tally.adjoint == 0.0f)
                 continue;
             const uint2 pixel = pixels[pixel_in_list];
-            key = sample_key(seed, stream, pixel, sample);
-            begin_tally(&tally, path, path_radiance[path], &key);
-            at = path_start(camera_ray(scene, views + pixel.x, rays, &key));
+            const SampleKey own = sample_key(seed, stream, pixel, sample);
+            keep_key(key, &own);
+            start_path(at, camera_ray(scene, views + pixel.x, rays, &own));
+            begin_tally(&tally, path, path_radiance[path], own);
         }
         do
-            walks = walk_event(&medium, &at, &key, &tally);
+            walks = walk_event(&medium, at, key, &tally);
         while (walks && !REGENERATES);
         if (!walks)
             end_tally(&tally, astray);

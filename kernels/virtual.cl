@@ -35,18 +35,23 @@ inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalE
 #include "walk/radiance.h"
 
 /* Sunlight that a side flight which ends in a droplet there adds. */
-static float side_radiance(const Medium *medium, const Interaction *at, float share, int index, const SampleKey *key)
+static float side_radiance(const Medium *medium, const KEPT Interaction *at, float share, int index,
+                           const KEPT SampleKey *key)
 {
-    const float4 v = uniforms(key, at->event * BLOCKS_PER_EVENT + BLOCK_ROULETTE);
+    const float4 v = event_uniforms(key, at->event, BLOCK_ROULETTE);
     float albedo;
     const Particle droplet = choose_droplet(medium, index, v.w, &albedo);
-    const float weight = at->throughput * albedo * share
-                         * scatter_density(medium, droplet, at->ray.direction, sun_direction(medium->scene));
-    return local_estimate(medium, &at->ray, weight, LOCAL_ESTIMATE_ROULETTE, v.x).radiance;
+    const float weight =
+        at->throughput * albedo * share
+        * scatter_density(medium, droplet, kept_vector(&at->ray.direction), sun_direction(medium->scene));
+    RAY_OF(ray, &at->ray);
+    return local_estimate(medium, ray, weight, LOCAL_ESTIMATE_ROULETTE, v.x).radiance;
 }
 
 __kernel void virtual_paths(VIRTUAL_PATHS_PARAMETERS)
 {
+    KEPT_FOR_ITEM(SampleKey, key);
+    KEPT_FOR_ITEM(Interaction, at);
     const size_t item = get_global_id(0);
     if (item >= count)
         return;
@@ -54,22 +59,20 @@ __kernel void virtual_paths(VIRTUAL_PATHS_PARAMETERS)
     const uint sample = first_sample + from->path / pixel_count;
     const uint pixel_in_list = from->path % pixel_count;
     const uint2 pixel = pixels[pixel_in_list];
-    const SampleKey key = {seed, stream, pixel.y, pixel.x + VIRTUAL_PATHS_VIEW, sample};
+    const SampleKey own = {seed, stream, pixel.y, pixel.x + VIRTUAL_PATHS_VIEW, sample};
+    keep_key(key, &own);
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
-    Interaction at;
-    at.ray.position = vload3(0, from->position);
-    at.ray.direction = vload3(0, from->direction);
-    at.ray.voxel = vload3(0, from->voxel);
-    at.ray.inside = true;
-    at.throughput = from->throughput;
-    at.event = from->event;
-    const int index = voxel_index(scene, at.ray.voxel);
+    const Ray ray = {vload3(0, from->position), vload3(0, from->direction), vload3(0, from->voxel), true};
+    start_path(at, ray);
+    at->throughput = from->throughput;
+    at->event = from->event;
+    const int index = voxel_index(scene, ray.voxel);
     float radiance;
     if (from->aside) {
-        radiance = side_radiance(&medium, &at, from->share, index, &key);
+        radiance = side_radiance(&medium, at, from->share, index, key);
     } else {
         Tally tally = {0.0f, from->share, from->event, index};
-        walk_on(&medium, at, &key, &tally);
+        walk_on(&medium, at, key, &tally);
         radiance = tally.radiance;
     }
     const float droplets = extinction[index] + virtual_extinction[index];

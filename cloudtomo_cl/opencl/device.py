@@ -6,7 +6,6 @@ import os
 import shutil
 import tempfile
 import threading
-import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,20 +19,19 @@ import numpy as np
 from cloudtomo_cl.errors import BuildError, DeviceError
 from cloudtomo_cl.opencl import kernel_cache
 from cloudtomo_cl.opencl.arrays import DeviceArray
+from cloudtomo_cl.opencl.dialect import WORK_GROUP_SIZE, dialect, group_size, keeps_local
 from cloudtomo_cl.opencl.parameters import KERNELS, TURNS, Kernel
 from cloudtomo_cl.parallel.ranks import ALONE, Ranks
 
 ENVIRONMENT_VARIABLE = "CLOUDTOMO_DEVICE"
-WORK_GROUP_SIZE = 64
 # On a GPU a work item walks several paths, one after the other (kernels/walk/turns.h): at most so many, and so few that
 # so many groups are left for every compute unit, which some of them wait for.
 _MOST_TURNS, _GROUPS_OF_UNIT = 64, 64
-# Work items of the first launch of its kind, of the largest, and what a launch should take.
+# Work items of the first launch of its kind, and of the largest.
 _FIRST_LAUNCH = 1 << 18
 _LARGEST_LAUNCH = 1 << 24
 # A GPU's largest launch: a path for so many bytes of its memory, but no more than these.
 _BYTES_OF_LAUNCH, _LARGEST_ON_GPU = 256, 1 << 27
-_LAUNCH_SECONDS = 0.4
 # Drivers that are known to compute wrongly, by a part of the device's name: what is said when one is opened.
 _FAULTS = {
     "llvmpipe": "it ends loops after 65,535 rounds and says nothing, so paths through thick clouds are cut short "
@@ -196,25 +194,6 @@ def _options(device: Any) -> tuple[str, ...]:
     return options
 
 
-def dialect(regenerates: bool, calls: bool) -> list[str]:
-    """What kernels are to be compiled like, in OpenCL C; the attributes of `Device`.
-
-    `inline` is an order: compilers for CPUs make functions of what is called in innermost loops. The few large
-    functions that they had better keep are LARGE_FUNCTIONs; all inlined, the kernels run 5 % faster and take twice
-    the time to build. GPUs have them inlined, for a call moves what a work item keeps in registers into memory. That
-    is what NVIDIA's do with a RARE_FUNCTION, to have registers for more work items; AMD's would lose more than that.
-    RARELY_READ keeps compilers from loading ahead of a loop what few of its rounds need.
-    """
-    always = "inline __attribute__((always_inline))"
-    return [
-        *(["#define CLOUDTOMO_REGENERATES"] if regenerates else []),
-        f"#define inline {always}",
-        f"#define LARGE_FUNCTION {'inline' if regenerates else 'static'}",
-        f"#define RARE_FUNCTION {'__attribute__((noinline)) static' if calls else 'inline'}",
-        f"#define RARELY_READ {'volatile' if regenerates else ''}",
-    ]
-
-
 class Device:
     """An OpenCL device with its context, queue and built kernels.
 
@@ -222,7 +201,8 @@ class Device:
     ----------
     lock : of what threads share: a kernel's arguments are its own, from when they are set until it is launched
     regenerates : whether work items walk several paths, for they go in step
-    calls : whether functions that are rarely called are no part of those that call them
+    keeps_local : whether what a path is while it flies lies in local memory
+    group_size : work items of a group
     options : of its compiler
     ranks : those that share what is computed here, each on a device of its own
     """
@@ -232,11 +212,12 @@ class Device:
         cl = _import_pyopencl()
         self.opencl, self.ranks = opencl_device, ranks
         self.context = cl.Context([opencl_device])
-        self.queue = cl.CommandQueue(self.context)
+        self.queue = cl.CommandQueue(self.context, properties=cl.command_queue_properties.PROFILING_ENABLE)
         self.name = opencl_device.name.strip()
         self.accumulation = _accumulation(opencl_device)
         self.regenerates = bool(opencl_device.type & cl.device_type.GPU)
-        self.calls = self.regenerates and "nvidia" in opencl_device.vendor.lower()
+        self.group_size = group_size(opencl_device) if self.regenerates else WORK_GROUP_SIZE
+        self.keeps_local = self.regenerates and keeps_local(opencl_device, self.group_size)
         self.options = _options(opencl_device)
         for part, fault in _FAULTS.items():
             if part in self.name:
@@ -259,7 +240,7 @@ class Device:
         from cloudtomo_cl.opencl.layout import declarations
 
         # Without contraction a path takes the same turns wherever its code is inlined.
-        lines = ["#pragma OPENCL FP_CONTRACT OFF", *dialect(self.regenerates, self.calls)]
+        lines = ["#pragma OPENCL FP_CONTRACT OFF", *dialect(self.regenerates, self.keeps_local, self.group_size)]
         return "\n".join([*lines, declarations(self.opencl)])
 
     def build(self, source: str) -> Any:
@@ -362,6 +343,14 @@ class Device:
         return pyopencl.array.empty(self.queue, shape, dtype)
 
     @property
+    def first_launch(self) -> int:
+        """Work items of the first launch of its kind; on a GPU, of paths, enough for all its compute units."""
+        if not self.regenerates:
+            return _FIRST_LAUNCH
+        filled = _GROUPS_OF_UNIT * self.group_size * int(self.opencl.max_compute_units)
+        return min(max(_FIRST_LAUNCH, filled), self.largest_launch)
+
+    @property
     def largest_launch(self) -> int:
         """Work items of the largest launch; on a GPU, whose work items have several paths, of paths. A power of two."""
         if not self.regenerates:
@@ -373,42 +362,22 @@ class Device:
         """Paths that a work item walks, of a launch of so many: a power of two."""
         if not self.regenerates:
             return 1
-        most = paths // (WORK_GROUP_SIZE * _GROUPS_OF_UNIT * self.opencl.max_compute_units)
+        most = paths // (self.group_size * _GROUPS_OF_UNIT * self.opencl.max_compute_units)
         return min(1 << max(most.bit_length() - 1, 0), _MOST_TURNS)
 
-    def launch(self, kernel: Any, work_items: int, *arguments: Any, global_offset: int = 0, **named: Any) -> None:
-        """Runs a kernel on at least `work_items` work items from `global_offset` on (kernels skip the rest).
+    def launch(self, kernel: Any, work_items: int, *arguments: Any, global_offset: int = 0, **named: Any) -> Any:
+        """Queues a kernel on at least `work_items` work items from `global_offset` on (kernels skip the rest).
 
-        Of kernels that take turns (kernels/walk/turns.h) these are the paths, which fewer work items walk.
+        Of kernels that take turns (kernels/walk/turns.h) these are the paths, which fewer work items walk. Returns its
+        event.
         """
         turns = 1
         if getattr(kernel, "takes_turns", False):
             turns = named[TURNS] = self.turns(work_items)
-        groups = -(-work_items // (WORK_GROUP_SIZE * turns))
+        groups = -(-work_items // (self.group_size * turns))
         with device_errors(f"device {self.name}: launching {kernel.function_name}"), self.lock:
             offset = {"global_offset": (global_offset,)} if global_offset else {}
-            kernel(self.queue, (groups * WORK_GROUP_SIZE,), (WORK_GROUP_SIZE,), *arguments, **offset, **named)
-
-
-class Pace:
-    """Sizes launches so that a desktop's watchdog and a progress bar live.
-
-    Attributes
-    ----------
-    work_items : what the next launch should have
-    """
-
-    def __init__(self, device: Device) -> None:
-        self.device = device
-        self.work_items = _FIRST_LAUNCH
-
-    def launch(self, kernel: Any, work_items: int, *arguments: Any, **named: Any) -> None:
-        """Runs a kernel to its end, and learns from the time it took."""
-        start = time.perf_counter()
-        self.device.launch(kernel, work_items, *arguments, **named)
-        self.device.queue.finish()
-        wanted = work_items / max(time.perf_counter() - start, 1e-6) * _LAUNCH_SECONDS
-        self.work_items = int(min(max(wanted, self.work_items // 2), 2 * self.work_items, self.device.largest_launch))
+            return kernel(self.queue, (groups * self.group_size,), (self.group_size,), *arguments, **offset, **named)
 
 
 def choose_device(name: str | int | None = None, communicator: Any = None) -> Device:

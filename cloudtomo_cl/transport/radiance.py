@@ -13,10 +13,11 @@ from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.files.measurements import measurements_dataset
 from cloudtomo_cl.memory import require_countable, shape_text, voxels_of
 from cloudtomo_cl.opencl.arrays import DeviceArray
-from cloudtomo_cl.opencl.device import Device, Pace, choose_device, device_errors
+from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
 from cloudtomo_cl.opencl.fixed_point import summed
 from cloudtomo_cl.opencl.layout import MOST_SAMPLES, STRUCTS, ray_array, view_structs
 from cloudtomo_cl.opencl.memory import Footprint
+from cloudtomo_cl.opencl.pace import Pace
 from cloudtomo_cl.parallel.ranks import Ranks, Shares
 from cloudtomo_cl.renamed import renamed_arguments, renamed_attributes
 from cloudtomo_cl.scene.cards import card

@@ -6,6 +6,7 @@
 #define CLOUDTOMO_BUDGET_H
 
 #include "walk/accumulate.h"
+#include "walk/kept.h"
 
 /* WEIGHT_UNIT: fixed-point units of a weight of 1. Work groups add into one of BUDGET_COPIES copies of
  * the sums, lest all wait for one address. Both from cloudtomo_cl/opencl/layout.py. On GPUs, where an atomic sum of
@@ -53,16 +54,18 @@ typedef struct {
     volatile float killed;   /* less the weight that survived roulettes have given */
     volatile float killed_variance;
     volatile float truncated; /* radiance, sr^-1 */
-    BudgetSums sums;
 } Budget;
 
-inline Budget empty_budget(BudgetSums sums)
+inline void clear_budget(KEPT Budget *budget)
 {
-    const Budget budget = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, sums};
-    return budget;
+    budget->absorbed = 0.0f;
+    budget->surface = 0.0f;
+    budget->killed = 0.0f;
+    budget->killed_variance = 0.0f;
+    budget->truncated = 0.0f;
 }
 
-inline void budget_absorption(Budget *budget, bool by_surface, float weight)
+inline void budget_absorption(KEPT Budget *budget, bool by_surface, float weight)
 {
     if (by_surface)
         budget->surface += weight;
@@ -71,17 +74,16 @@ inline void budget_absorption(Budget *budget, bool by_surface, float weight)
 }
 
 /* A roulette between `throughput` and `raised`, or nothing. */
-inline void budget_roulette(Budget *budget, float throughput, float raised, bool survives)
+inline void budget_roulette(KEPT Budget *budget, float throughput, float raised, bool survives)
 {
     budget->killed_variance += throughput * (raised - throughput);
     if (survives)
         budget->killed -= raised - throughput;
 }
 
-/* Closes the budget of a path that ended with a throughput. */
-inline void budget_termination(const Budget *budget, Termination termination, float throughput)
+/* Adds the budget of a path that ended with a throughput. */
+inline void budget_termination(const KEPT Budget *budget, Termination termination, float throughput, BudgetSums sums)
 {
-    const BudgetSums sums = budget->sums;
     add_to_budget(sums + TERMINATION_LAUNCHED, units_of(WEIGHT_UNIT));
     add_to_budget(sums + termination, units_of(throughput * WEIGHT_UNIT));
     if (budget->absorbed != 0.0f)

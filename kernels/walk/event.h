@@ -13,15 +13,16 @@ typedef struct {
     uint event;          /* its number in the path; 1: from the camera, or the sun */
 } Segment;
 
-/* Where a path scatters. */
+/* Where a path scatters: what is kept of it. */
 typedef struct {
-    Ray ray; /* its direction is that in which the path arrives */
+    KeptRay ray; /* its direction is that in which the path arrives */
     Particle particle;
     float albedo;
-    float throughput;     /* of the path, after it: product of single-scattering albedos, over survival */
-    uint event;           /* number of the segment that ends here */
-    float u_estimate;     /* uniform numbers: for the roulette on the local estimate */
-    float u_side_flights; /* for the number of side flights */
+    float throughput;         /* of the path, after it: product of single-scattering albedos, over survival */
+    uint event;               /* number of the segment that ends here */
+    KeptVector new_direction; /* in which the path goes on */
+    float u_estimate;         /* uniform numbers: for the roulette on the local estimate */
+    float u_side_flights;     /* for the number of side flights */
 } Interaction;
 
 #endif

@@ -8,6 +8,7 @@
 #define CLOUDTOMO_GRID_H
 
 #include "walk/arithmetic.h"
+#include "walk/kept.h"
 
 typedef struct {
     float3 position;  /* voxel units */
@@ -15,6 +16,29 @@ typedef struct {
     int3 voxel;       /* the voxel that holds position; valid if inside */
     bool inside;      /* the position is known to lie in the domain */
 } Ray;
+
+/* A ray where it is kept. */
+typedef KEPT_RAY KeptRay;
+
+inline Ray kept_ray(const KEPT KeptRay *kept)
+{
+    Ray ray;
+    ray.position = kept_vector(&kept->position);
+    ray.direction = kept_vector(&kept->direction);
+    ray.voxel = (int3)(kept->voxel.x, kept->voxel.y, kept->voxel.z);
+    ray.inside = kept->inside;
+    return ray;
+}
+
+inline void keep_ray(KEPT KeptRay *kept, const Ray *ray)
+{
+    keep_vector(&kept->position, ray->position);
+    keep_vector(&kept->direction, ray->direction);
+    kept->voxel.x = ray->voxel.x;
+    kept->voxel.y = ray->voxel.y;
+    kept->voxel.z = ray->voxel.z;
+    kept->inside = ray->inside;
+}
 
 /* A walk along a ray, in plain numbers: compilers for CPUs keep vectors of three in memory, or
  * take them apart and together at every step. */

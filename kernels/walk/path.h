@@ -10,8 +10,8 @@
  *       the path has left all that scatters, at `ray`; it ends there, or goes on to the surface
  *   void on_interaction(medium, const Segment *segment, const Flight *flight, const Interaction *at, tally)
  *       the segment ends in a collision, or at the surface
- *   void on_scattering(medium, const Interaction *at, float3 new_direction, const SampleKey *key, tally)
- *       the path goes on from there
+ *   void on_scattering(medium, const Interaction *at, const SampleKey *key, tally)
+ *       the path goes on from there, in at->new_direction
  *   void on_absorption(medium, const Interaction *at, float weight, tally)
  *       what the path's throughput has lost there
  *   void on_roulette(float throughput, float raised, bool survives, tally)
@@ -56,24 +56,29 @@ inline Termination termination_of(const __constant Scene *scene, const Ray *ray,
 
 /* Walks a path on from `at`, its last interaction, to the next; false if it has come to its end. Of `at` count the ray
  * along which the path is to go on, the throughput, and the number of the segment that begins there. */
-inline bool walk_event(const Medium *medium, Interaction *at, const SampleKey *key, Tally *tally)
+inline bool walk_event(const Medium *medium, KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally)
 {
     const __constant Scene *scene = medium->scene;
-    const float4 u = uniforms(key, at->event * BLOCKS_PER_EVENT + BLOCK_EVENT);
-    const Segment segment = {at->ray, -logarithm(u.x), at->throughput, at->event};
-    const Flight flight = on_flight(medium, &at->ray, &segment, tally);
-    const float4 v = uniforms(key, at->event * BLOCKS_PER_EVENT + BLOCK_ROULETTE);
+    const float4 u = event_uniforms(key, at->event, BLOCK_EVENT);
+    RAY_OF(ray, &at->ray);
+    const Segment segment = {*ray, -logarithm(u.x), at->throughput, at->event};
+    const Flight flight = on_flight(medium, ray, &segment, tally);
+    RAY_ENDS(ray, &at->ray);
+    const float4 v = event_uniforms(key, at->event, BLOCK_ROULETTE);
     if (flight.collided) {
-        at->particle = choose_particle(medium, flight.droplets, flight.air, flight.index, u.y, v.w, &at->albedo);
+        float albedo;
+        at->particle = choose_particle(medium, flight.droplets, flight.air, flight.index, u.y, v.w, &albedo);
+        at->albedo = albedo;
     } else {
-        const Termination termination = termination_of(scene, &at->ray, &flight);
-        const bool ends = termination == TERMINATION_LOST || !meets_surface(scene, &at->ray);
-        on_leaving(medium, &segment, &flight, &at->ray, termination, ends, tally);
+        const Termination termination = termination_of(scene, ray, &flight);
+        const bool ends = termination == TERMINATION_LOST || !meets_surface(scene, ray);
+        on_leaving(medium, &segment, &flight, ray, termination, ends, tally);
         if (ends) {
             on_termination(termination, at->throughput, tally);
             return false;
         }
-        move_to_surface(scene, &at->ray);
+        move_to_surface(scene, ray);
+        RAY_ENDS(ray, &at->ray);
         at->particle = PARTICLE_SURFACE;
         at->albedo = scene->surface_albedo;
     }
@@ -82,43 +87,44 @@ inline bool walk_event(const Medium *medium, Interaction *at, const SampleKey *k
     on_absorption(medium, at, at->throughput * (1.0f - at->albedo), tally);
     at->throughput *= at->albedo;
     on_interaction(medium, &segment, &flight, at, tally);
-    if (at->throughput < PATH_ROULETTE_THROUGHPUT) {
-        const bool survives = v.y * PATH_ROULETTE_THROUGHPUT < at->throughput;
-        on_roulette(at->throughput, PATH_ROULETTE_THROUGHPUT, survives, tally);
+    const float throughput = at->throughput;
+    if (throughput < PATH_ROULETTE_THROUGHPUT) {
+        const bool survives = v.y * PATH_ROULETTE_THROUGHPUT < throughput;
+        on_roulette(throughput, PATH_ROULETTE_THROUGHPUT, survives, tally);
         if (!survives) {
-            on_termination(TERMINATION_KILLED, at->throughput, tally);
+            on_termination(TERMINATION_KILLED, throughput, tally);
             return false;
         }
         at->throughput = PATH_ROULETTE_THROUGHPUT;
     }
-    const float3 new_direction = sample_scatter(medium, at->particle, at->ray.direction, u.zw);
-    on_scattering(medium, at, new_direction, key, tally);
-    at->ray.direction = new_direction;
+    keep_vector(&at->new_direction, sample_scatter(medium, at->particle, kept_vector(&at->ray.direction), u.zw));
+    on_scattering(medium, at, key, tally);
+    keep_vector(&at->ray.direction, kept_vector(&at->new_direction));
     ++at->event;
     return true;
 }
 
 /* Walks a path on to its end. */
-inline void walk_on(const Medium *medium, Interaction at, const SampleKey *key, Tally *tally)
+inline void walk_on(const Medium *medium, KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally)
 {
-    while (walk_event(medium, &at, key, tally)) {
+    while (walk_event(medium, at, key, tally)) {
     }
 }
 
 /* Where a whole path begins: with its first ray. */
-inline Interaction path_start(Ray first_ray)
+inline void start_path(KEPT Interaction *at, Ray first_ray)
 {
-    Interaction at;
-    at.ray = first_ray;
-    at.throughput = 1.0f;
-    at.event = 1u;
-    return at;
+    keep_ray(&at->ray, &first_ray);
+    at->throughput = 1.0f;
+    at->event = 1u;
 }
 
 /* Walks a whole path from its first ray. */
-inline void walk_path(const Medium *medium, Ray first_ray, const SampleKey *key, Tally *tally)
+inline void walk_path(const Medium *medium, KEPT Interaction *at, Ray first_ray, const KEPT SampleKey *key,
+                      Tally *tally)
 {
-    walk_on(medium, path_start(first_ray), key, tally);
+    start_path(at, first_ray);
+    walk_on(medium, at, key, tally);
 }
 
 #endif

@@ -42,26 +42,27 @@
  * next order's sunlight, combined with the path's own next collision by the balance heuristic
  * (Veach and Guibas 1995); they take the load of the rare, huge local estimates that a
  * forward peak gives. `count` is their expected number; this is the one of number n. */
-RARE_FUNCTION void side_flight(const Medium *medium, const Interaction *at, float count, uint n, const SampleKey *key,
-                               Tally *tally)
+inline void side_flight(const Medium *medium, const KEPT Interaction *at, float count, uint n,
+                        const KEPT SampleKey *key, Tally *tally)
 {
-    const uint block = at->event * BLOCKS_PER_EVENT + BLOCK_SIDE + 2u * n;
-    const float4 v = uniforms(key, block);
-    Ray ray = at->ray;
+    const uint block = BLOCK_SIDE + 2u * n;
+    const float4 v = event_uniforms(key, at->event, block);
+    Ray ray = kept_ray(&at->ray);
+    const float3 arriving = ray.direction;
     ray.direction = sample_around_sun(medium, v.zw);
-    const float density = scatter_density(medium, at->particle, at->ray.direction, ray.direction);
+    const float density = scatter_density(medium, at->particle, arriving, ray.direction);
     if (!(density > 0.0f))
         return;
     const float share = density / (density + count * sun_density(medium, ray.direction));
     const float optical_depth = -logarithm(v.x);
     const Flight flight = fly(medium, &ray, optical_depth);
-    Segment segment = {at->ray, optical_depth, at->throughput, at->event + 1u};
+    Segment segment = {kept_ray(&at->ray), optical_depth, at->throughput, at->event + 1u};
     segment.start.direction = ray.direction;
     if (!flight.collided) {
         tally_side_flight(medium, &segment, &flight, PARTICLE_NONE, share, 0.0f, tally);
         return;
     }
-    const float2 w = uniforms(key, block + 1u).xy;
+    const float2 w = event_uniforms(key, at->event, block + 1u).xy;
     float albedo;
     const Particle end = choose_particle(medium, flight.droplets, flight.air, flight.index, v.y, w.y, &albedo);
     const float weight =
@@ -72,8 +73,8 @@ RARE_FUNCTION void side_flight(const Medium *medium, const Interaction *at, floa
     tally->radiance += estimate.radiance;
 }
 
-LARGE_FUNCTION void side_flights(const Medium *medium, const Interaction *at, float count, const SampleKey *key,
-                                 Tally *tally)
+LARGE_FUNCTION void side_flights(const Medium *medium, const KEPT Interaction *at, float count,
+                                 const KEPT SampleKey *key, Tally *tally)
 {
     const uint flights = (uint)(count + at->u_side_flights);
     for (uint n = 0; n < flights; ++n)
@@ -92,35 +93,37 @@ inline void on_leaving(const Medium *medium, const Segment *segment, const Fligh
         tally_segment(medium, segment, flight, PARTICLE_NONE, tally->own_share, 0.0f, tally);
 }
 
-inline void on_interaction(const Medium *medium, const Segment *segment, const Flight *flight, const Interaction *at,
-                           Tally *tally)
+inline void on_interaction(const Medium *medium, const Segment *segment, const Flight *flight,
+                           const KEPT Interaction *at, Tally *tally)
 {
     const __constant Scene *scene = medium->scene;
     const bool on_surface = at->particle == PARTICLE_SURFACE;
     const float share = tally->own_share;
     const float weight = (on_surface ? 1.0f : share) * at->throughput
-                         * scatter_density(medium, at->particle, at->ray.direction, sun_direction(scene));
+                         * scatter_density(medium, at->particle, kept_vector(&at->ray.direction), sun_direction(scene));
     /* What a camera sees directly, and the ground, stay free of the roulette's noise. */
     const bool plays = scene->side_flights && at->event > 1u && !on_surface;
+    RAY_OF(ray, &at->ray);
     const LocalEstimate estimate =
-        local_estimate(medium, &at->ray, weight, plays ? LOCAL_ESTIMATE_ROULETTE : 0.0f, at->u_estimate);
-    tally_shadow_ray(medium, &at->ray, &estimate, tally);
+        local_estimate(medium, ray, weight, plays ? LOCAL_ESTIMATE_ROULETTE : 0.0f, at->u_estimate);
+    RAY_OF(again, &at->ray);
+    tally_shadow_ray(medium, again, &estimate, tally);
     tally->radiance += estimate.radiance;
     tally_segment(medium, segment, flight, at->particle, share, estimate.radiance, tally);
     tally->own_share = 1.0f;
 }
 
-inline void on_scattering(const Medium *medium, const Interaction *at, float3 new_direction, const SampleKey *key,
-                          Tally *tally)
+inline void on_scattering(const Medium *medium, const KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally)
 {
     const __constant Scene *scene = medium->scene;
     if (!scene->side_flights)
         return;
-    const float3 direction = at->ray.direction;
-    const float wide = henyey_greenstein(scalar_product(direction, sun_direction(scene)), scene->wide_g);
+    const float wide =
+        henyey_greenstein(scalar_product(kept_vector(&at->ray.direction), sun_direction(scene)), scene->wide_g);
     const float count = within(SIDE_FLIGHT_RATE * at->throughput * wide, SIDE_FLIGHT_LEAST, SIDE_FLIGHT_MOST);
     side_flights(medium, at, count, key, tally);
-    const float density = scatter_density(medium, at->particle, direction, new_direction);
+    const float3 new_direction = kept_vector(&at->new_direction);
+    const float density = scatter_density(medium, at->particle, kept_vector(&at->ray.direction), new_direction);
     tally->own_share = density / (density + count * sun_density(medium, new_direction));
 }
 

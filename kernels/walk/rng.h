@@ -8,6 +8,7 @@
 #ifndef CLOUDTOMO_RNG_H
 #define CLOUDTOMO_RNG_H
 
+#include "walk/kept.h"
 #include <pyopencl-random123/philox.cl>
 
 typedef struct {
@@ -17,6 +18,21 @@ typedef struct {
     uint view;
     uint sample;
 } SampleKey;
+
+inline SampleKey kept_key(const KEPT SampleKey *kept)
+{
+    const SampleKey key = {kept->seed, kept->stream, kept->pixel, kept->view, kept->sample};
+    return key;
+}
+
+inline void keep_key(KEPT SampleKey *kept, const SampleKey *key)
+{
+    kept->seed = key->seed;
+    kept->stream = key->stream;
+    kept->pixel = key->pixel;
+    kept->view = key->view;
+    kept->sample = key->sample;
+}
 
 /* Of a sample of a camera's pixel (view, row * width + column). */
 inline SampleKey sample_key(uint seed, uint stream, uint2 pixel, uint sample)
@@ -50,12 +66,36 @@ inline float open_uniform(uint bits)
     return scaled < 0.99999994f ? scaled : 0.99999994f;
 }
 
+/* Philox4x32-10 as a loop: of rounds in a row compilers for GPUs keep the keys, twenty numbers, in registers. */
+inline philox4x32_ctr_t philox_rounds(philox4x32_ctr_t c, philox4x32_key_t k)
+{
+    const uint first = 0xD2511F53u, second = 0xCD9E8D57u; /* multipliers; below the keys' steps (Salmon et al.) */
+#pragma unroll 1
+    for (int round = 0; round < 10; ++round) {
+        const uint4 before = (uint4)(c.v[0], c.v[1], c.v[2], c.v[3]);
+        c.v[0] = mul_hi(second, before.z) ^ before.y ^ k.v[0];
+        c.v[1] = second * before.z;
+        c.v[2] = mul_hi(first, before.x) ^ before.w ^ k.v[1];
+        c.v[3] = first * before.x;
+        k.v[0] += 0x9E3779B9u;
+        k.v[1] += 0xBB67AE85u;
+    }
+    return c;
+}
+
 inline float4 uniforms(const SampleKey *key, uint block)
 {
-    philox4x32_key_t k = {{key->seed, key->stream}};
-    philox4x32_ctr_t c = {{key->pixel, key->view, key->sample, block}};
-    philox4x32_ctr_t r = philox4x32(c, k);
+    const philox4x32_key_t k = {{key->seed, key->stream}};
+    const philox4x32_ctr_t c = {{key->pixel, key->view, key->sample, block}};
+    const philox4x32_ctr_t r = KEEPS_LOOPS ? philox_rounds(c, k) : philox4x32(c, k);
     return (float4)(open_uniform(r.v[0]), open_uniform(r.v[1]), open_uniform(r.v[2]), open_uniform(r.v[3]));
+}
+
+/* Of an event of a path whose key is kept. */
+inline float4 event_uniforms(const KEPT SampleKey *key, uint event, uint block)
+{
+    const SampleKey own = kept_key(key);
+    return uniforms(&own, event * BLOCKS_PER_EVENT + block);
 }
 
 #endif

@@ -4,7 +4,7 @@
 
 #include "walk/event.h"
 
-inline void on_absorption(const Medium *medium, const Interaction *at, float weight, Tally *tally) {}
+inline void on_absorption(const Medium *medium, const KEPT Interaction *at, float weight, Tally *tally) {}
 inline void on_roulette(float throughput, float raised, bool survives, Tally *tally) {}
 inline void on_termination(Termination termination, float throughput, Tally *tally) {}
 

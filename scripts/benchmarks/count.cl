@@ -51,14 +51,17 @@ inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalE
 
 __kernel void count_paths(COUNT_PATHS_PARAMETERS)
 {
+    KEPT_FOR_ITEM(SampleKey, key);
+    KEPT_FOR_ITEM(Interaction, at);
     const size_t item = get_global_id(0);
     if (item >= path_count)
         return;
     const uint path = path_of_item((uint)item, pixel_count, path_count);
     const uint2 pixel = pixels[path % pixel_count];
-    const SampleKey key = {seed, stream, pixel.y, pixel.x, first_sample + (uint)(path / pixel_count)};
+    const SampleKey own = {seed, stream, pixel.y, pixel.x, first_sample + (uint)(path / pixel_count)};
+    keep_key(key, &own);
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
     Tally tally = {0.0f, 1.0f, 1u, crossings + (size_t)path * EVENTS_COUNTED};
-    walk_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &tally);
+    walk_path(&medium, at, camera_ray(scene, views + pixel.x, rays, &own), key, &tally);
     events[path] = tally.event;
 }

@@ -140,9 +140,9 @@ class Compilers:
             found[name] = version[1] if version else text.strip().splitlines()[-1]
         return found
 
-    def _source(self, kernel: KernelSource, calls: bool) -> Path:
+    def _source(self, kernel: KernelSource, keeps_local: bool) -> Path:
         device = choose_device()
-        device.regenerates, device.calls = True, calls
+        device.regenerates, device.keeps_local = True, keeps_local
         macros = "".join(f"#define {feature}\n" for feature in kernel.features)
         path = self.folder / f"{re.sub(r'[^a-z]+', '_', str(kernel))}.cl"
         missing = f"#ifdef __NVPTX__\n{_ATOMICS}{_OFFSET}#endif\n"
@@ -159,7 +159,7 @@ class Compilers:
 
     def ptx(self, kernel: KernelSource) -> Path:
         """The kernel for NVIDIA's GPUs, before registers are given out."""
-        source = self._source(kernel, calls=True)
+        source = self._source(kernel, keeps_local=True)
         ptx = source.with_suffix(".ptx")
         target = [
             "-target", "nvptx64-nvidia-nvcl", "-Xclang", "-mlink-builtin-bitcode",
@@ -184,7 +184,7 @@ class Compilers:
 
     def for_amd(self, kernel: KernelSource, architectures: tuple[str, ...] = AMD) -> Iterator[tuple[str, Use]]:
         """By the metadata of the assembly; vector registers count, the scalar ones are a wave's."""
-        source = self._source(kernel, calls=False)
+        source = self._source(kernel, keeps_local=False)
         assembly = source.with_suffix(".s")
         for architecture in architectures:
             target = [

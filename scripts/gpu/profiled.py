@@ -68,7 +68,8 @@ def rows(quick: bool) -> Iterator[Row]:
     samples = _QUICK_SAMPLES if quick else _SAMPLES
     operator = ct.RadianceOperator(case.scene, (case.view,), recorder.device, mask=case.extinction > 0)
     adjoint = np.full((len(operator.pixels), 2), 0.5)
-    operator.gradient(operator.render(case.extinction, 2, 1, store_paths=True), adjoint).get()  # builds the kernels
+    # Builds the kernels, for launches of these sizes.
+    operator.gradient(operator.render(case.extinction, samples, 1, store_paths=True), adjoint).get()
     recorder.clear()
     start = time.perf_counter()
     rendering = operator.render(case.extinction, samples, 1, store_paths=True)

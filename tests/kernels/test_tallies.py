@@ -65,14 +65,17 @@ inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalE
 
 __kernel void sum_pieces(SUM_PIECES_PARAMETERS)
 {
+    KEPT_FOR_ITEM(SampleKey, key);
+    KEPT_FOR_ITEM(Interaction, at);
     const size_t path = get_global_id(0);
     if (path >= path_count)
         return;
     const uint2 pixel = pixels[path % pixel_count];
-    const SampleKey key = {seed, stream, pixel.y, pixel.x, first_sample + (uint)(path / pixel_count)};
+    const SampleKey own = {seed, stream, pixel.y, pixel.x, first_sample + (uint)(path / pixel_count)};
+    keep_key(key, &own);
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
     Tally t = {0.0f, 1.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
-    walk_path(&medium, camera_ray(scene, views + pixel.x, rays, &key), &key, &t);
+    walk_path(&medium, at, camera_ray(scene, views + pixel.x, rays, &own), key, &t);
     const float8 found = {t.radiance, t.collected, t.from_side, t.crossed, t.flown, t.first, t.throughput, t.shadow};
     vstore8(found, path, sums);
 }

@@ -23,7 +23,7 @@ def stepping():
     patch = pytest.MonkeyPatch()
     patch.setattr(device_module, "_GROUPS_OF_UNIT", 3)
     device = choose_device()
-    device.regenerates = device.calls = True
+    device.regenerates = device.keeps_local = True
     yield device
     patch.undo()
 
@@ -108,6 +108,25 @@ def test_a_groups_sum_that_is_too_large_is_seen(stepping):
     stepping.launch(cl.Kernel(stepping.build(source), "probe"), 64, sums.data)
     with pytest.raises(ct.TransportError, match="budget of the paths' weights"):
         sums.audit()
+
+
+def test_what_work_items_keep_lies_in_different_banks(stepping):
+    source = """
+    #include "walk/budget.h"
+    #include "walk/event.h"
+    __kernel void probe(__global uint *words)
+    {
+        words[0] = sizeof(SampleKey) / 4;
+        words[1] = sizeof(Interaction) / 4;
+        words[2] = sizeof(Budget) / 4;
+    }
+    """
+    import pyopencl as cl
+
+    words = stepping.zeros(3, np.uint32)
+    cl.Kernel(stepping.build(source), "probe")(stepping.queue, (1,), None, words.data)
+    own = words.get()
+    assert list(own % 2) == [1, 1, 1] and own.sum() % 2 == 1, own
 
 
 def test_on_cpus_a_work_item_has_one_path(device):

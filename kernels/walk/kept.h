@@ -1,0 +1,72 @@
+/* Where a path's state is kept while it flies.
+ *
+ * On CPUs in variables like any other. NVIDIA's GPUs lack registers for it: there (CLOUDTOMO_KEEPS_LOCAL) it lies in
+ * local memory, and is volatile, so that compilers do not load it ahead of the flights. What a work item keeps has an
+ * odd number of words of 32 bits and nothing else, so that what the items of a group keep lies in different banks.
+ *
+ *   KEPT                         before the type of what is kept
+ *   KEPT_FOR_ITEM(type, name)    declares `name`, a pointer to what this work item keeps; in a kernel, not in a branch
+ *   KEPT_TOGETHER(...)           the same of three types and names, beside each other
+ *   KeptVector, KeptVoxel, KEPT_RAY    vectors of three, and a ray (grid.h)
+ *   RAY_OF(name, kept)           declares `name`, a pointer to a ray as the kept one is: to that one itself on CPUs
+ *   RAY_ENDS(name, kept)         and keeps what has become of it
+ */
+#ifndef CLOUDTOMO_KEPT_H
+#define CLOUDTOMO_KEPT_H
+
+#ifdef CLOUDTOMO_KEEPS_LOCAL
+#define KEPT volatile __local
+#define KEPT_FOR_ITEM(type, name) \
+    __local type name##_of_items[WORK_GROUP_SIZE]; \
+    KEPT type *const name = name##_of_items + get_local_id(0)
+#define KEPT_TOGETHER(type1, name1, type2, name2, type3, name3) \
+    __local struct { \
+        type1 name1; \
+        type2 name2; \
+        type3 name3; \
+    } name1##_of_items[WORK_GROUP_SIZE]; \
+    KEPT type1 *const name1 = &name1##_of_items[get_local_id(0)].name1; \
+    KEPT type2 *const name2 = &name1##_of_items[get_local_id(0)].name2; \
+    KEPT type3 *const name3 = &name1##_of_items[get_local_id(0)].name3
+typedef struct {
+    float x, y, z;
+} KeptVector;
+typedef struct {
+    int x, y, z;
+} KeptVoxel;
+#define KEPT_RAY \
+    struct { \
+        KeptVector position, direction; \
+        KeptVoxel voxel; \
+        int inside; \
+    }
+#define RAY_OF(name, kept) \
+    Ray name##_taken = kept_ray(kept); \
+    Ray *const name = &name##_taken
+#define RAY_ENDS(name, kept) keep_ray(kept, name)
+#else
+#define KEPT
+#define KEPT_FOR_ITEM(type, name) \
+    type name##_of_item; \
+    type *const name = &name##_of_item
+#define KEPT_TOGETHER(type1, name1, type2, name2, type3, name3) \
+    KEPT_FOR_ITEM(type1, name1); \
+    KEPT_FOR_ITEM(type2, name2); \
+    KEPT_FOR_ITEM(type3, name3)
+typedef float3 KeptVector;
+typedef int3 KeptVoxel;
+#define KEPT_RAY Ray
+#define RAY_OF(name, kept) Ray *const name = (Ray *)(kept)
+#define RAY_ENDS(name, kept)
+#endif
+
+inline float3 kept_vector(const KEPT KeptVector *kept) { return (float3)(kept->x, kept->y, kept->z); }
+
+inline void keep_vector(KEPT KeptVector *kept, float3 vector)
+{
+    kept->x = vector.x;
+    kept->y = vector.y;
+    kept->z = vector.z;
+}
+
+#endif
