@@ -12,10 +12,10 @@ from cloudtomo_cl.inversion.patches import Patches
 
 # Noise of a stage's first step, and how it falls from step to step.
 _FIRST_NOISE, _NOISE_SHARE = 0.2, 0.7
-# Share of the prior's pull on a cloud's mass that a step takes back, and the extinction, in units of s, at which a
-# voxel takes half of its part in that (docs/decisions/patch-prior.md).
+# Share of the prior's pull on a cloud's mass that a step takes back where nobody finds it (`mass`), and the extinction,
+# in units of s, at which a voxel takes half of its part in that (docs/decisions/patch-prior.md).
 _RETURNED, _HALF_PRESENT = 0.3, 0.1
-# Of a cloud of so many voxels a step's patches count half: those that were learnt from are of more.
+# Of a cloud of so many voxels a step's patches with cloud count half: those that were learnt from are of more.
 _FEW_VOXELS = 200.0
 
 
@@ -48,15 +48,16 @@ class BoundPatches:
         """With the components that are the likeliest at this extinction, and the noise of this iteration.
 
         Patches of a cloud of few voxels, as on the grids of the first stages, are rougher than those of most clouds
-        that were learnt from: they count less.
+        that were learnt from: they count less. Patches without cloud are alike everywhere.
 
         The most likely cloud is thinner than likely ones: as many Gaussians as there are patches all pull towards
         their means. A step takes a share of that pull on the cloud's mass back, by a constant slope where there is
         cloud.
         """
         noise = max(_FIRST_NOISE * _NOISE_SHARE**iteration, self._noise)
-        share = voxels_of_cloud(extinction) / (voxels_of_cloud(extinction) + _FEW_VOXELS)
-        step = FrozenPatches(self._patches, self._mixture, share * self._weight, noise, extinction)
+        count = voxels_of_cloud(extinction)
+        share = count / (count + _FEW_VOXELS) if count else 1.0
+        step = FrozenPatches(self._patches, self._mixture, self._weight, noise, extinction, share)
         step.give_back(extinction, _RETURNED)
         return step
 
@@ -76,10 +77,19 @@ class FrozenPatches:
     weight : strength over a patch's values
     noise : standard deviation in units of s
     extinction : where components are chosen, in units of s, shape (voxels,)
+    share : by which patches with cloud count
     """
 
-    def __init__(self, patches: Patches, mixture: Mixture, weight: float, noise: float, extinction: np.ndarray) -> None:
-        self._patches, self._weight = patches, weight
+    def __init__(
+        self,
+        patches: Patches,
+        mixture: Mixture,
+        weight: float,
+        noise: float,
+        extinction: np.ndarray,
+        share: float = 1.0,
+    ) -> None:
+        self._patches, self._weight = patches, share * weight
         padded = patches.padded(extinction)
         cloudy = _cloudy(patches, padded)
         components = np.zeros(len(patches), np.int32)
@@ -98,7 +108,7 @@ class FrozenPatches:
         # Patches without cloud have the mean 0 and independent values: what they add is diagonal.
         sums = patches.zeros()
         patches.add(sums, clear, np.ones((1, 1)))
-        self._clear = patches.on_voxels(sums) * precisions[0, 0, 0]
+        self._clear = patches.on_voxels(sums) * (precisions[0, 0, 0] / share)
         sums, diagonals = patches.zeros(), np.diagonal(precisions, axis1=1, axis2=2)
         for part, slices in self._parts_by_component():
             patches.add(sums, part, np.concatenate([np.tile(diagonals[k], (s.stop - s.start, 1)) for k, s in slices]))

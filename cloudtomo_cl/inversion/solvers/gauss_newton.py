@@ -14,6 +14,7 @@ from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.inversion.bound_prior import FrozenPrior, NoiseUnits
 from cloudtomo_cl.inversion.jacobian_average import JacobianAverage
+from cloudtomo_cl.inversion.mass import give_back, is_due, returned_share
 from cloudtomo_cl.inversion.objective import cost_of_independent, noise_of
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
@@ -53,6 +54,7 @@ class GaussNewtonState:
     image, variance : of the averaged modelled image, W m^-2 sr^-1 and its square, shape (pixels,)
     lag : `noise_of` the errors of the last step's prediction
     iterations : done so far
+    returned : share of the prior's pull on the mass that steps take back (`mass`)
     motions : of the views, shape (views, 3), as the next iteration renders them (`scene.pointing`)
     streams, walked, turned : of the derivatives: random numbers, shape (iterations,), extinctions, (iterations,
         voxels), and the views' motions, (iterations, views, 3)
@@ -65,6 +67,7 @@ class GaussNewtonState:
     variance: np.ndarray
     lag: float
     iterations: int
+    returned: float
     motions: np.ndarray
     streams: np.ndarray = of_any_length()
     walked: np.ndarray = of_any_length()
@@ -120,7 +123,7 @@ class GaussNewton:
         if problem.motions is not None:
             motions = problem.motions
         streams, turned = np.zeros(0, np.int64), np.zeros((0, *motions.shape))
-        return GaussNewtonState(start, start, nothing, nothing, 0.0, 0, motions, streams, none, turned)
+        return GaussNewtonState(start, start, nothing, nothing, 0.0, 0, 0.0, motions, streams, none, turned)
 
     @with_one_blas_thread
     def step(
@@ -146,6 +149,11 @@ class GaussNewton:
             derivatives=derivatives,
         )
         frozen = problem.prior.frozen(state.extinction, state.iterations - 1)
+        if is_due(state.iterations):
+            state = replace(
+                state, returned=_returned_share(problem, state, frozen, np.random.default_rng([seed, stream]))
+            )
+        give_back(frozen, state.extinction, state.returned)
         prior, _ = frozen.value_and_gradient(state.extinction, problem.units(state.modelled_noise(problem)))
         state = self._minimised(problem, state, frozen, stream)
         rate = tail_rate(state.iterations - 1)
@@ -194,6 +202,7 @@ class GaussNewton:
             if abs(scale - before) <= _SETTLED_SCALE * before:
                 break
             prior = problem.prior.frozen(extinction, state.iterations - 1)
+            give_back(prior, extinction, state.returned)
             extinction = model.minimised(extinction, prior, self.inner_iterations)
         predicted = jacobian @ (extinction - state.extinction)
         motions = calibration.motions(model.residual + predicted, state.image)
@@ -216,16 +225,12 @@ class GaussNewton:
         misfit = _misfit(problem, state) + jacobian @ (state.estimate - state.extinction)
         force = problem.weights * calibration(misfit, image)
         prior = problem.prior.frozen(state.estimate, state.iterations)
+        give_back(prior, state.estimate, state.returned)
         gradient = jacobian.rmatvec(force) + prior.value_and_gradient(state.estimate, units)[1]
-        deviation = np.sqrt(active.variance + state.variance)
-
-        def noise(random: np.random.Generator) -> np.ndarray:
-            return calibration.drawn(random, image) + deviation * random.standard_normal(len(image))
-
         return WIDENED * standard_errors(
             jacobian,
             problem.weights,
-            noise,
+            lambda random: _drawn_noise(problem, state, random),
             lambda residual: calibration(residual, image),
             prior,
             units,
@@ -297,6 +302,29 @@ def _derivatives_of(problem: Problem, state: GaussNewtonState, seed: int) -> Jac
         _LOGGER.info("replaying the paths of iteration %d of %d", number + 1, len(state.streams))
         derivatives.add(problem.with_motions(motions), extinction, seed, int(stream))
     return derivatives
+
+
+def _drawn_noise(problem: Problem, state: GaussNewtonState, random: np.random.Generator) -> np.ndarray:
+    """Noise of measured and modelled images, and what the calibration leaves open, shape (pixels,)."""
+    drawn = problem.active.calibration.drawn(random, state.image)
+    return drawn + np.sqrt(problem.active.variance + state.variance) * random.standard_normal(len(state.image))
+
+
+def _returned_share(
+    problem: Problem, state: GaussNewtonState, prior: FrozenPrior, random: np.random.Generator
+) -> float:
+    """`returned_share` at the state's extinction."""
+    assert state.derivatives is not None
+    return returned_share(
+        state.derivatives.jacobian,
+        problem.weights,
+        lambda random: _drawn_noise(problem, state, random),
+        lambda residual: problem.active.calibration(residual, state.image),
+        prior,
+        problem.units(state.modelled_noise(problem)),
+        state.extinction,
+        random,
+    )
 
 
 def _misfit(problem: Problem, state: GaussNewtonState) -> np.ndarray:
