@@ -123,6 +123,7 @@ class PatchQuadratic:
     operator : of the voxels
     u : shape (voxels,)
     noise : standard deviation that patches are known to
+    weight_of_clear : of patches without cloud, where others have 1
 
     Attributes
     ----------
@@ -130,7 +131,7 @@ class PatchQuadratic:
     """
 
     @device_errors("the prior")
-    def __init__(self, operator: PatchOperator, u: np.ndarray, noise: float) -> None:
+    def __init__(self, operator: PatchOperator, u: np.ndarray, noise: float, weight_of_clear: float = 1.0) -> None:
         self._operator, self._at = operator, u
         device = operator.device
         self._component, self.value = operator.chosen_components(device.array(u.astype(np.float32)), noise)
@@ -145,17 +146,19 @@ class PatchQuadratic:
             number=self._number, shape=operator.shape, component=self._component,
             precision=device.constant(precisions.astype(np.float32)), stencil=self._stencil,
         )  # fmt: skip
-        self._sum_patches(precisions)
+        self._sum_patches(precisions, weight_of_clear)
+        self.value += 0.5 * (1 - 1 / weight_of_clear) * float(self.clear @ np.square(u))
 
-    def _sum_patches(self, precisions: np.ndarray) -> None:
+    def _sum_patches(self, precisions: np.ndarray, weight_of_clear: float) -> None:
         operator, device = self._operator, self._operator.device
         slopes = np.einsum("kij,kj->ki", precisions, operator.mixture.means)
-        diagonals = np.diagonal(precisions, axis1=1, axis2=2)
+        diagonals = np.diagonal(precisions, axis1=1, axis2=2).copy()
+        diagonals[0] *= weight_of_clear  # the first component's
         self._of_means, self._clear, self._diagonal = (device.empty(operator.voxels, np.float32) for _ in range(3))
         operator.launch(
             "sum_patches", operator.voxels, voxel_count=operator.voxels, voxel=operator.voxel, shape=operator.shape,
             component=self._component, slope=device.constant(slopes.astype(np.float32)),
-            diagonal_of=device.constant(np.ascontiguousarray(diagonals, np.float32)), of_means=self._of_means,
+            diagonal_of=device.constant(diagonals.astype(np.float32)), of_means=self._of_means,
             clear=self._clear, diagonal=self._diagonal,
         )  # fmt: skip
 

@@ -14,10 +14,10 @@ from cloudtomo_cl.opencl.arrays import DeviceArray
 
 # Noise of a stage's first step, and how it falls from step to step.
 _FIRST_NOISE, _NOISE_SHARE = 0.2, 0.7
-# Share of the prior's pull on a cloud's mass that a step takes back, and the extinction, in units of s, at which a
-# voxel takes half of its part in that (docs/decisions/patch-prior.md).
+# Share of the prior's pull on a cloud's mass that a step takes back where nobody finds it (`mass`), and the extinction,
+# in units of s, at which a voxel takes half of its part in that (docs/decisions/patch-prior.md).
 _RETURNED, _HALF_PRESENT = 0.3, 0.1
-# Of a cloud of so many voxels a step's patches count half: those that were learnt from are of more.
+# Of a cloud of so many voxels a step's patches with cloud count half: those that were learnt from are of more.
 _FEW_VOXELS = 200.0
 # Patches that are drawn at a time: 20 MB of them.
 _AT_ONCE = 1 << 15
@@ -51,15 +51,16 @@ class BoundPatches:
         """With the components that are the likeliest at this extinction, and the noise of this iteration.
 
         Patches of a cloud of few voxels, as on the grids of the first stages, are rougher than those of most clouds
-        that were learnt from: they count less.
+        that were learnt from: they count less. Patches without cloud are alike everywhere.
 
         The most likely cloud is thinner than likely ones: as many Gaussians as there are patches all pull towards
         their means. A step takes a share of that pull on the cloud's mass back, by a constant slope where there is
         cloud.
         """
         noise = max(_FIRST_NOISE * _NOISE_SHARE**iteration, self._noise)
-        share = voxels_of_cloud(extinction) / (voxels_of_cloud(extinction) + _FEW_VOXELS)
-        step = FrozenPatches(self._operator, share * self._weight, noise, extinction)
+        count = voxels_of_cloud(extinction)
+        share = count / (count + _FEW_VOXELS) if count else 1.0
+        step = FrozenPatches(self._operator, self._weight, noise, extinction, share)
         step.give_back(extinction, _RETURNED)
         return step
 
@@ -79,11 +80,14 @@ class FrozenPatches:
     weight : strength over a patch's values
     noise : standard deviation in units of s
     extinction : where components are chosen, in units of s, shape (voxels,)
+    share : by which patches with cloud count
     """
 
-    def __init__(self, operator: PatchOperator, weight: float, noise: float, extinction: np.ndarray) -> None:
-        self._operator, self._weight, self._noise = operator, weight, noise
-        self._quadratic = PatchQuadratic(operator, extinction, noise)
+    def __init__(
+        self, operator: PatchOperator, weight: float, noise: float, extinction: np.ndarray, share: float = 1.0
+    ) -> None:
+        self._operator, self._weight, self._noise = operator, share * weight, noise
+        self._quadratic = PatchQuadratic(operator, extinction, noise, 1 / share)
         self._slope, self._slope_start = np.zeros(len(extinction)), extinction
 
     def give_back(self, extinction: np.ndarray, share: float) -> None:

@@ -46,8 +46,8 @@ class PatchPrior:
 
     Attributes
     ----------
-    strength : weight of minus the log likelihood of patches, averaged over the patches that hold a voxel; it is half of
-        that in the steps for a cloud of 200 voxels, and less for one of fewer
+    strength : weight of minus the log likelihood of patches, averaged over the patches that hold a voxel; of
+        patches with cloud it is half of that in the steps for a cloud of 200 voxels, and less for one of fewer
     noise : standard deviation to which patches are known, in units of s; a stage begins with 0.2
     file : mixtures that scripts/learn_prior.py made; by default those that come with the package, learnt from
         generated clouds

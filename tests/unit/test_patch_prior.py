@@ -101,11 +101,23 @@ def test_the_gradient_is_that_of_the_value(voxels, bound, cloud, random, of):
 
 
 def test_a_step_begins_at_a_share_of_the_functions_value_when_the_noise_has_fallen(bound, cloud):
+    """No patch of this cloud is clear."""
     prior = RelativePrior(bound, 1.0)
     share = voxels_of_cloud(cloud) / (voxels_of_cloud(cloud) + 200)
     assert prior.frozen(cloud, 99).value_and_gradient(cloud, UNITS)[0] == pytest.approx(
         share * prior.value_and_gradient(cloud, UNITS)[0]
     )
+
+
+def test_clear_patches_of_a_cloud_of_few_voxels_count_in_full(random, device):
+    """A voxel far from the cloud has 27 patches, all clear, with a precision of 1 / (0.02^2 + 0.05^2)."""
+    voxels = ct.Voxels(ct.Grid((9, 9, 9), (0.04,) * 3), np.ones((9, 9, 9), bool))
+    cloud, far = np.zeros((2, 9, 9, 9))
+    cloud[:2, :2, :2], far[6, 6, 6] = 1.0, 1.0
+    operator = PatchOperator(Patches(voxels, SIZE), mixture_of(random), device)
+    step = BoundPatches(operator, STRENGTH, NOISE).frozen(cloud.ravel(), 99)
+    expected = UNITS.weighted * 1.3 / (0.02**2 + 0.05**2)
+    assert step.stiffness(far.reshape(-1, 1), UNITS)[:, 0] == pytest.approx(expected * far.ravel())
 
 
 def test_a_cloud_of_equal_voxels_has_as_many():

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from dense_term import DenseTerm
 
 from cloudtomo_cl.inversion.bound_prior import NoiseUnits
+from cloudtomo_cl.inversion.noisy_model import NoisyModel
 from cloudtomo_cl.inversion.priors import roughness
 from cloudtomo_cl.inversion.terms import stiffness_of
 from cloudtomo_cl.inversion.uncertainty import standard_errors
-from cloudtomo_cl.inversion.vectors import Vectors
 from cloudtomo_cl.reference.prior import smoothness_matrix
 
 SHAPE = (4, 3, 5)
@@ -15,22 +16,6 @@ PIXELS = 90
 DRAWS = 400
 # Of a root mean square over the draws, five standard errors: a significance of 6e-7 for each of some 50 voxels.
 BOUND = 5 / np.sqrt(2 * DRAWS)
-
-
-class Data:
-    """The data term of a dense linear model."""
-
-    quadratic = True
-
-    def __init__(self, device, jacobian, weights, correct):
-        self.jacobian, self.weights, self.correct = jacobian, weights, correct
-        self.vectors = Vectors(device, jacobian.shape[1])
-
-    def slope(self, residual):
-        return self.jacobian.T @ (self.weights * self.correct(residual))
-
-    def add_product(self, x, result):
-        self.vectors.add(1.0, self.vectors.of(self.slope(self.jacobian @ x.get().astype(float))), result)
 
 
 class Smooth:
@@ -44,6 +29,10 @@ class Smooth:
 
     def stiffness(self, columns, units):
         return self.weight * self.matrix.T @ (self.matrix @ columns)
+
+    def value_and_gradient(self, extinction, units):
+        """Its slope at the estimate is in the given gradient."""
+        return 0.0, np.zeros_like(extinction)
 
     def perturbation(self, random, units):
         return np.sqrt(self.weight * units.both) * self.matrix.T @ random.standard_normal(len(self.matrix))
@@ -71,14 +60,19 @@ def found(problem, device):
     mask, jacobian, weights, deviation, matrix = problem
 
     def made(smoothness, draws=DRAWS, correct=lambda residual: residual, estimate=FAR, gradient=0.0):
-        data, prior = Data(device, jacobian, weights, correct), Smooth(matrix, smoothness)
+        data, prior = DenseTerm(device, jacobian, weights, correct), Smooth(matrix, smoothness)
         stiffness = weights @ jacobian**2 + prior.curvature(None, UNITS) + 1e-3
-        return standard_errors(
+        model = NoisyModel(
             [data, stiffness_of(prior, UNITS, device)],
+            stiffness,
+            np.broadcast_to(gradient, mask.sum()),
             lambda random: data.slope(deviation * random.standard_normal(PIXELS)),
-            prior, UNITS, np.broadcast_to(estimate, mask.sum()), np.broadcast_to(gradient, mask.sum()), stiffness,
-            draws, seed=1, device=device,
-        )  # fmt: skip
+            prior,
+            UNITS,
+            np.broadcast_to(estimate, mask.sum()),
+            device,
+        )
+        return standard_errors(model, draws, seed=1)
 
     return made
 

@@ -14,6 +14,8 @@ from pydantic.dataclasses import dataclass
 from cloudtomo_cl.inversion.bound_prior import FrozenPrior
 from cloudtomo_cl.inversion.data_term import DataTerm, Force
 from cloudtomo_cl.inversion.jacobian_average import JacobianAverage
+from cloudtomo_cl.inversion.mass import give_back, is_due, returned_share
+from cloudtomo_cl.inversion.noisy_model import NoisyModel
 from cloudtomo_cl.inversion.objective import cost_of_independent, noise_of
 from cloudtomo_cl.inversion.patch_operator import stencil_footprint
 from cloudtomo_cl.inversion.problem import Problem
@@ -29,7 +31,7 @@ from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import Count
 from cloudtomo_cl.scene.scene import NotNegative, Positive
 from cloudtomo_cl.transport.derivatives import table_footprint
-from cloudtomo_cl.transport.jacobian import jacobian_footprint
+from cloudtomo_cl.transport.jacobian import Jacobian, jacobian_footprint
 from cloudtomo_cl.transport.radiance import Rendering, pooled
 
 _LOGGER = logging.getLogger(__name__)
@@ -54,6 +56,7 @@ class GaussNewtonState:
     image, variance : of the averaged modelled image, W m^-2 sr^-1 and its square, shape (pixels,)
     lag : `noise_of` the errors of the last step's prediction
     iterations : done so far
+    returned : share of the prior's pull on the mass that steps take back (`mass`)
     motions : of the views, shape (views, 3), as the next iteration renders them (`scene.pointing`)
     streams, walked, turned : of the derivatives: random numbers, shape (iterations,), extinctions, (iterations,
         voxels), and the views' motions, (iterations, views, 3)
@@ -66,6 +69,7 @@ class GaussNewtonState:
     variance: np.ndarray
     lag: float
     iterations: int
+    returned: float
     motions: np.ndarray
     streams: np.ndarray = of_any_length()
     walked: np.ndarray = of_any_length()
@@ -121,7 +125,7 @@ class GaussNewton:
         if problem.motions is not None:
             motions = problem.motions
         streams, turned = np.zeros(0, np.int64), np.zeros((0, *motions.shape))
-        return GaussNewtonState(start, start, nothing, nothing, 0.0, 0, motions, streams, none, turned)
+        return GaussNewtonState(start, start, nothing, nothing, 0.0, 0, 0.0, motions, streams, none, turned)
 
     @with_one_blas_thread
     def step(
@@ -146,7 +150,7 @@ class GaussNewton:
             turned=np.concatenate([state.turned, state.motions[None]]),
             derivatives=derivatives,
         )
-        prior, state = self._minimised(problem, state, stream)
+        prior, state = self._minimised(problem, state, seed, stream)
         rate = tail_rate(state.iterations - 1)
         estimate = state.estimate + (state.extinction - state.estimate) * rate
         paths = rendering.samples * len(problem.active)
@@ -162,7 +166,9 @@ class GaussNewton:
         values = problem.on_grid(extinction)
         return pooled(walked, problem.operator.render(values, more, seed, stream, first_sample=walked.samples))
 
-    def _minimised(self, problem: Problem, state: GaussNewtonState, stream: int) -> tuple[float, GaussNewtonState]:
+    def _minimised(
+        self, problem: Problem, state: GaussNewtonState, seed: int, stream: int
+    ) -> tuple[float, GaussNewtonState]:
         """The state at the minimum of the model: residuals and their derivatives, prior, and a damping of the step.
 
         And the prior's value where it begins.
@@ -185,6 +191,10 @@ class GaussNewton:
             return minimised([data, term_of(prior, units, device)], begin, stiff, self.inner_iterations, device)
 
         prior = problem.prior.frozen(state.extinction, state.iterations - 1)
+        if is_due(state.iterations):
+            model = _noisy_model(problem, state, jacobian, prior, state.extinction)
+            state = replace(state, returned=returned_share(model, np.random.default_rng([seed, stream])))
+        give_back(prior, state.extinction, state.returned)
         value, _ = prior.value_and_gradient(state.extinction, units)
         extinction = least(state.extinction, prior)
         scale = mean_extinction(state.extinction)
@@ -195,6 +205,7 @@ class GaussNewton:
                 break
             del prior  # it may be large
             prior = problem.prior.frozen(extinction, state.iterations - 1)
+            give_back(prior, extinction, state.returned)
             extinction = least(extinction, prior)
         predicted = jacobian @ (extinction - state.extinction)
         motions = calibration.motions(misfit + predicted, state.image)
@@ -209,30 +220,12 @@ class GaussNewton:
 
         None if the images' noise is not known, or before the first iteration.
         """
-        active, image = problem.active, state.image
-        if not state.iterations or not active.standard_error.any():
+        if not state.iterations or not problem.active.standard_error.any():
             return None
         jacobian = _derivatives_of(problem, state, seed).jacobian
-        units, device = problem.units(state.modelled_noise(problem)), problem.operator.device
-        calibration, weights = active.calibration, problem.weights
-        misfit = _misfit(problem, state) + jacobian @ (state.estimate - state.extinction)
         prior = problem.prior.frozen(state.estimate, state.iterations)
-        data = DataTerm(
-            jacobian, Force(weights, calibration, image, device), misfit, state.estimate, np.zeros_like(state.estimate)
-        )
-        gradient = data.slope + prior.value_and_gradient(state.estimate, units)[1]
-        deviation = np.sqrt(active.variance + state.variance)
-
-        def slope_of_noise(random: np.random.Generator) -> np.ndarray:
-            noise = calibration.drawn(random, image) + deviation * random.standard_normal(len(image))
-            return jacobian.rmatvec(weights * calibration(noise, image)).astype(float)
-
-        curvature = jacobian.curvature(weights)
-        stiffness = curvature + prior.curvature(state.estimate, units) + LEAST_CURVATURE * curvature.mean()
-        terms = [data, stiffness_of(prior, units, device)]
-        return WIDENED * standard_errors(
-            terms, slope_of_noise, prior, units, state.estimate, gradient, stiffness, draws, seed, device
-        )
+        give_back(prior, state.estimate, state.returned)
+        return WIDENED * standard_errors(_noisy_model(problem, state, jacobian, prior, state.estimate), draws, seed)
 
 
 def tail_rate(iteration: int) -> float:
@@ -249,6 +242,27 @@ def _derivatives_of(problem: Problem, state: GaussNewtonState, seed: int) -> Jac
         _LOGGER.info("replaying the paths of iteration %d of %d", number + 1, len(state.streams))
         derivatives.add(problem.with_motions(motions), extinction, seed, int(stream))
     return derivatives
+
+
+def _noisy_model(
+    problem: Problem, state: GaussNewtonState, jacobian: Jacobian, prior: FrozenPrior, extinction: np.ndarray
+) -> NoisyModel:
+    """The linear model at an extinction, where the prior stands as given."""
+    active, image, device = problem.active, state.image, problem.operator.device
+    calibration, weights, units = active.calibration, problem.weights, problem.units(state.modelled_noise(problem))
+    misfit = _misfit(problem, state) + jacobian @ (extinction - state.extinction)
+    force = Force(weights, calibration, image, device)
+    data = DataTerm(jacobian, force, misfit, extinction, np.zeros_like(extinction))
+    deviation = np.sqrt(active.variance + state.variance)
+
+    def slope_of_noise(random: np.random.Generator) -> np.ndarray:
+        noise = calibration.drawn(random, image) + deviation * random.standard_normal(len(image))
+        return jacobian.rmatvec(weights * calibration(noise, image)).astype(float)
+
+    curvature = jacobian.curvature(weights)
+    stiffness = curvature + prior.curvature(extinction, units) + LEAST_CURVATURE * curvature.mean()
+    terms = [data, stiffness_of(prior, units, device)]
+    return NoisyModel(terms, stiffness, data.slope, slope_of_noise, prior, units, extinction, device)
 
 
 def _misfit(problem: Problem, state: GaussNewtonState) -> np.ndarray:
