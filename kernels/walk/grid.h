@@ -17,8 +17,20 @@ typedef struct {
     bool inside;      /* the position is known to lie in the domain */
 } Ray;
 
-/* A ray where it is kept. */
-typedef KEPT_RAY KeptRay;
+/* A ray where it is kept.
+ *
+ *   RAY_OF(name, kept)    declares `name`, a pointer to a ray as the kept one is: to that one itself on CPUs
+ *   keep_ray(kept, name)  keeps what it has become */
+#ifdef CLOUDTOMO_KEEPS_LOCAL
+typedef struct {
+    KeptVector position, direction;
+    KeptVoxel voxel;
+    int inside;
+} KeptRay;
+
+#define RAY_OF(name, kept) \
+    Ray name##_taken = kept_ray(kept); \
+    Ray *const name = &name##_taken
 
 inline Ray kept_ray(const KEPT KeptRay *kept)
 {
@@ -39,6 +51,19 @@ inline void keep_ray(KEPT KeptRay *kept, const Ray *ray)
     kept->voxel.z = ray->voxel.z;
     kept->inside = ray->inside;
 }
+#else
+typedef Ray KeptRay;
+
+#define RAY_OF(name, kept) Ray *const name = (Ray *)(kept)
+
+inline Ray kept_ray(const KeptRay *kept) { return *kept; }
+
+inline void keep_ray(KeptRay *kept, const Ray *ray)
+{
+    if (kept != ray)
+        *kept = *ray;
+}
+#endif
 
 /* A walk along a ray, in plain numbers: compilers for CPUs keep vectors of three in memory, or
  * take them apart and together at every step. */

@@ -7,9 +7,6 @@
  *   KEPT                         before the type of what is kept
  *   KEPT_FOR_ITEM(type, name)    declares `name`, a pointer to what this work item keeps; in a kernel, not in a branch
  *   KEPT_TOGETHER(...)           the same of three types and names, beside each other
- *   KeptVector, KeptVoxel, KEPT_RAY    vectors of three, and a ray (grid.h)
- *   RAY_OF(name, kept)           declares `name`, a pointer to a ray as the kept one is: to that one itself on CPUs
- *   RAY_ENDS(name, kept)         and keeps what has become of it
  */
 #ifndef CLOUDTOMO_KEPT_H
 #define CLOUDTOMO_KEPT_H
@@ -34,16 +31,15 @@ typedef struct {
 typedef struct {
     int x, y, z;
 } KeptVoxel;
-#define KEPT_RAY \
-    struct { \
-        KeptVector position, direction; \
-        KeptVoxel voxel; \
-        int inside; \
-    }
-#define RAY_OF(name, kept) \
-    Ray name##_taken = kept_ray(kept); \
-    Ray *const name = &name##_taken
-#define RAY_ENDS(name, kept) keep_ray(kept, name)
+
+inline float3 kept_vector(const KEPT KeptVector *kept) { return (float3)(kept->x, kept->y, kept->z); }
+
+inline void keep_vector(KEPT KeptVector *kept, float3 vector)
+{
+    kept->x = vector.x;
+    kept->y = vector.y;
+    kept->z = vector.z;
+}
 #else
 #define KEPT
 #define KEPT_FOR_ITEM(type, name) \
@@ -55,18 +51,10 @@ typedef struct {
     KEPT_FOR_ITEM(type3, name3)
 typedef float3 KeptVector;
 typedef int3 KeptVoxel;
-#define KEPT_RAY Ray
-#define RAY_OF(name, kept) Ray *const name = (Ray *)(kept)
-#define RAY_ENDS(name, kept)
+
+inline float3 kept_vector(const KeptVector *kept) { return *kept; }
+
+inline void keep_vector(KeptVector *kept, float3 vector) { *kept = vector; }
 #endif
-
-inline float3 kept_vector(const KEPT KeptVector *kept) { return (float3)(kept->x, kept->y, kept->z); }
-
-inline void keep_vector(KEPT KeptVector *kept, float3 vector)
-{
-    kept->x = vector.x;
-    kept->y = vector.y;
-    kept->z = vector.z;
-}
 
 #endif

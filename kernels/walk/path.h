@@ -63,7 +63,7 @@ inline bool walk_event(const Medium *medium, KEPT Interaction *at, const KEPT Sa
     RAY_OF(ray, &at->ray);
     const Segment segment = {*ray, -logarithm(u.x), at->throughput, at->event};
     const Flight flight = on_flight(medium, ray, &segment, tally);
-    RAY_ENDS(ray, &at->ray);
+    keep_ray(&at->ray, ray);
     const float4 v = event_uniforms(key, at->event, BLOCK_ROULETTE);
     if (flight.collided) {
         float albedo;
@@ -78,7 +78,7 @@ inline bool walk_event(const Medium *medium, KEPT Interaction *at, const KEPT Sa
             return false;
         }
         move_to_surface(scene, ray);
-        RAY_ENDS(ray, &at->ray);
+        keep_ray(&at->ray, ray);
         at->particle = PARTICLE_SURFACE;
         at->albedo = scene->surface_albedo;
     }
