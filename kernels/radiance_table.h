@@ -6,7 +6,7 @@
 #ifndef CLOUDTOMO_RADIANCE_TABLE_H
 #define CLOUDTOMO_RADIANCE_TABLE_H
 
-#include "walk/accumulate.h"
+#include "walk/grid.h"
 #include "walk/phase.h"
 
 __constant float ring_cosine[DIRECTION_RINGS + 1] = {RING_COSINES}; /* edges, from 1 down to -1 */
@@ -24,19 +24,17 @@ inline int direction_bin(float3 direction)
 }
 
 typedef struct {
-    const __global int *column;          /* of every voxel in the table, or -1 */
-    const __global uint4 *cells;         /* of every column: its first cell, and parts along x, y, z */
-    const __global float *scattered;     /* [cell][bin]: source - radiance, sr^-1 */
-    const __global float *sunlight;      /* [cell]: direct, share of the irradiance */
-    volatile __global Accumulator *sums; /* [cell][bin][2]: km, sr^-1 km; what paths bring for the next table */
+    const __global int *column;      /* of every voxel in the table, or -1 */
+    const __global uint4 *cells;     /* of every column: its first cell, and parts along x, y, z */
+    const __global float *scattered; /* [cell][bin]: source - radiance, sr^-1 */
+    const __global float *sunlight;  /* [cell]: direct, share of the irradiance */
 } RadianceTable;
 
-#define TABLE_ARGUMENTS column, cells, scattered, sunlight, table_sums
+#define TABLE_ARGUMENTS column, cells, scattered, sunlight
 inline RadianceTable make_table(const __global int *column, const __global uint4 *cells,
-                                const __global float *scattered, const __global float *sunlight,
-                                volatile __global Accumulator *sums)
+                                const __global float *scattered, const __global float *sunlight)
 {
-    const RadianceTable table = {column, cells, scattered, sunlight, sums};
+    const RadianceTable table = {column, cells, scattered, sunlight};
     return table;
 }
 

@@ -47,7 +47,6 @@ _TABLE = (
     "const __global uint4 *cells",  # of every column: its first cell, and parts along x, y, z
     "const __global float *scattered",  # [cell][bin]: source - radiance, sr^-1
     "const __global float *sunlight",  # [cell]: direct, share of the irradiance
-    "volatile __global Accumulator *table_sums",  # [cell][bin][2]: km, sr^-1 km
 )
 _GRADIENT = (
     "const __global float2 *adjoint",  # per pixel: even, odd samples
@@ -201,15 +200,29 @@ KERNELS: dict[str, tuple[str, ...]] = {
     ),
     "far_times": (*_FAR, "const __global NUMBERS *x", "__global NUMBERS *result"),
     "far_transposed": (*_FAR, "const int squares", "const __global NUMBERS *y", "__global NUMBERS *result"),
-    "probe_paths": (
+    "fill_table": (
         *MEDIUM,
+        "const __global View *sun_view",
+        "const uint pixel_count",
+        "const uint first_sample",
+        "const uint photon_count",
         "const uint seed",
         "const uint stream",
-        *_TABLE,
-        "const __global int *listed",  # index of every voxel that is probed
+        "const __global int *column",
+        "const __global uint4 *cells",
+        "const float unit",  # of the sums, per km
+        "volatile __global Accumulator *table_sums",  # [cell][bin]: weight x length
+        *_TURNS,
+    ),
+    "tabulate": (
+        "const __global Accumulator *table_sums",
+        "const __global float *scattering",  # [from bin][into bin]: scattered light less radiance
+        "const __global uint4 *cells",
+        "const __global int *cell_column",
         "const uint count",
-        "const uint samples",
-        "const float length",  # km
+        "const float unit",  # of the sums in a whole voxel
+        "__global float *scattered",
+        "volatile __global uint *overflown",  # number of sums
     ),
     "direct_sunlight": (
         *MEDIUM,
