@@ -35,7 +35,12 @@ typedef struct {
     bool is_first;     /* from the camera */
 } Payload;
 
-/* A crossing is so short in what is optically deep that its middle stands for it. */
+/* What more droplets in a cell would send along a flight, less what they would take, sr^-1. */
+inline float cell_source(const RadianceTable *table, uint cell, Payload payload)
+{
+    return table->scattered[cell * DIRECTION_BINS + payload.bin] + payload.sun_density * table->sunlight[cell];
+}
+
 inline void deposit_crossing(const __constant Scene *scene, const Ray *ray, const VoxelWalk *walk, float length,
                              Payload payload, Tally *tally)
 {
@@ -43,11 +48,18 @@ inline void deposit_crossing(const __constant Scene *scene, const Ray *ray, cons
     const int index = walk->index, column = table->column[index];
     if (column < 0)
         return;
-    const float middle = walk->distance + 0.5f * length;
-    const uint cell = cell_at(table, column, ray->position + middle * ray->direction / grid_spacing(scene));
-    const uint place = cell * DIRECTION_BINS + payload.bin;
-    const float source = table->scattered[place] + payload.sun_density * table->sunlight[cell];
-    tally_derivative(index, column, length * (payload.throughput * source), payload.is_first, tally);
+    const uint4 cells = table->cells[column];
+    float sources = 0.0f; /* times their lengths */
+    if (is_whole(cells)) {
+        sources = length * cell_source(table, cells.x, payload);
+    } else {
+        CellWalk part = walk_cells(scene, cells, ray, walk->distance, length);
+        while (part.from < length) {
+            const float source = cell_source(table, part.cell, payload);
+            sources += leave_cell(&part, length) * source;
+        }
+    }
+    tally_derivative(index, column, payload.throughput * sources, payload.is_first, tally);
 }
 
 #define TRAVERSAL fly_and_deposit

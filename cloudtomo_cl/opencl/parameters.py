@@ -48,6 +48,15 @@ _TABLE = (
     "const __global float *scattered",  # [cell][bin]: source - radiance, sr^-1
     "const __global float *sunlight",  # [cell]: direct, share of the irradiance
 )
+_STARTS = (  # of photons
+    *MEDIUM,
+    "const __global View *sun_view",
+    "const uint pixel_count",
+    "const __global float *box",  # lower and upper corner, voxels
+    "const uint first_sample",
+    "const uint seed",
+    "const uint stream",
+)
 _GRADIENT = (
     "const __global float2 *adjoint",  # per pixel: even, odd samples
     "const __global float *virtual_extinction",  # [x][y][z], km^-1; below 0: nothing is deposited
@@ -201,18 +210,27 @@ KERNELS: dict[str, tuple[str, ...]] = {
     "far_times": (*_FAR, "const __global NUMBERS *x", "__global NUMBERS *result"),
     "far_transposed": (*_FAR, "const int squares", "const __global NUMBERS *y", "__global NUMBERS *result"),
     "fill_table": (
-        *MEDIUM,
-        "const __global View *sun_view",
-        "const uint pixel_count",
-        "const uint first_sample",
+        *_STARTS,
         "const uint photon_count",
-        "const uint seed",
-        "const uint stream",
+        "const int enters_box",  # whether photons start on the box; or else in the sun's view
+        "const int weighted",  # whether weights are given
+        "const __global float *weights",
         "const __global int *column",
         "const __global uint4 *cells",
         "const float unit",  # of the sums, per km
         "volatile __global Accumulator *table_sums",  # [cell][bin]: weight x length
         *_TURNS,
+    ),
+    "arriving_diffuse": (
+        *_STARTS,
+        "const uint count",
+        "const float unit",  # of the weights, sr
+        "__global float *weights",
+    ),
+    "arriving_sunlight": (
+        *_STARTS,
+        "const uint count",
+        "__global float *weights",
     ),
     "tabulate": (
         "const __global Accumulator *table_sums",
