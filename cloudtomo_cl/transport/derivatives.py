@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.errors import DataError, TransportError
+from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.fixed_point import summed
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.transport.cells import Cells, most_cells
@@ -14,8 +15,10 @@ from cloudtomo_cl.transport.directions import BINS, FEATURES, scattering_matrix,
 from cloudtomo_cl.transport.photons import Photons
 from cloudtomo_cl.transport.radiance import FIXED_POINT_SCALE, RadianceOperator, Rendering, largest_adjoint
 
-# Sums and the table on the device.
-_BYTES_PER_CELL = 12
+# Photons from the sun for each path of the rendering whose derivatives are wanted.
+_PHOTONS_PER_PATH = float(__import__("os").environ.get("PERPATH", 1))
+# Of an entry on the device: its sum, and what becomes of it. On the host, where several ranks add up: their sums.
+_BYTES_PER_ENTRY, _LARGEST_BYTES, _HOST_BYTES = 12, 8, 24
 # Kernels count the table's entries with signed integers of 32 bits.
 _MOST_ENTRIES = 2**31 - 1
 
@@ -23,13 +26,15 @@ _MOST_ENTRIES = 2**31 - 1
 def table_footprint(voxels: int) -> Footprint:
     """What a `RadianceTable` of so many voxels takes at most."""
     entries = most_cells(voxels) * BINS
-    return Footprint(_BYTES_PER_CELL * entries, 8 * entries, 0)
+    return Footprint(_BYTES_PER_ENTRY * entries, _LARGEST_BYTES * entries, _HOST_BYTES * entries)
 
 
 class RadianceTable:
     """A table of the diffuse radiance by voxel and direction, and gradients by it.
 
-    Voxels that are optically deep are divided into cells (cells.py), for light changes inside.
+    Voxels that are optically deep are divided into cells (cells.py), for light changes inside. Photons from the sun fill
+    it (photons.py), as many as the rendering has paths: it is a function of a rendering's extinction, seed and stream,
+    and nothing of it is kept from one to the next. Its noise falls where derivatives are averaged.
 
     Parameters
     ----------
@@ -43,7 +48,7 @@ class RadianceTable:
     of (source function - radiance), weighted with the adjoint (Martin, Cairns and Bal 2014, "Adjoint
     methods for adjusting three-dimensional atmosphere and surface properties to fit multi-angle/
     multi-pixel polarimetric measurements"; Levis et al. 2020 drop a part of it); here the adjoint is
-    sampled by the cameras' paths, exactly, and the radiance by the table they fill.
+    sampled by the cameras' paths, exactly, and the radiance by photons.
     """
 
     def __init__(self, operator: RadianceOperator) -> None:
@@ -102,37 +107,43 @@ class RadianceTable:
     def prepare(self, rendering: Rendering) -> None:
         """Makes the table at a rendering's extinction, for kernels that take it by `buffers`.
 
-        It is a function of the extinction, and of the rendering's seed and stream, by which photons are drawn.
+        Raises TransportError if a sum has overflowed.
         """
-        operator, device = self._operator, self._operator.device
-        medium, scene = rendering._medium, operator.scene
+        operator, device, scene = self._operator, self._operator.device, self._operator.scene
+        medium = rendering._medium
         extinction = medium.extinction.get()[self._mask]
         divided = Cells.of(extinction, scene.grid.spacing, scene.cloud.phase_function.g)
-        cells = len(divided)
+        self.cells = len(divided)
         self._places = device.constant(divided.places)
-        places = {"column": self.column, "cells": self._places}
-        sums = device.zeros((cells, BINS), np.int64)
-        operator.ranks.together(
-            lambda: self._photons.fill(medium, rendering.seed, rendering.stream, places, sums)
-        )
+        sums = device.zeros((self.cells, BINS), np.int64)
+        unit = operator.ranks.together(lambda: self._filled(rendering, sums))
         if operator.ranks.size > 1:
             sums.set(summed(sums.get(), operator.ranks, "the radiance table", "cell and direction"))
         cell_column = device.constant(divided.voxel.astype(np.int32))
         overflown = device.zeros(1, np.uint32)
-        self._scattered = device.empty((cells, BINS), np.float32)
+        self._scattered = device.empty((self.cells, BINS), np.float32)
         device.launch(
-            self._tabulate, cells * BINS, table_sums=sums, scattering=self._scattering, cells=self._places,
-            cell_column=cell_column, count=cells, unit=self._photons.radiance_of_unit / np.prod(scene.grid.spacing),
+            self._tabulate, self.cells * BINS, table_sums=sums, scattering=self._scattering, cells=self._places,
+            cell_column=cell_column, count=self.cells, unit=unit / float(np.prod(scene.grid.spacing)),
             scattered=self._scattered, overflown=overflown,
         )  # fmt: skip
         if overflown.get()[0]:
-            raise TransportError("overflow")
-        self._sunlight = device.empty(cells, np.float32)
+            raise TransportError(
+                "the radiance table has left the range of its 64-bit sums, or something that is no number was added: "
+                "the optics are extreme, or the device is at fault; use fewer paths, or another device"
+            )
+        self._sunlight = device.empty(self.cells, np.float32)
         device.launch(
-            self._direct_sunlight, cells, **medium.arguments, voxel=self._voxel, cells=self._places,
-            cell_column=cell_column, count=cells, sunlight=self._sunlight,
+            self._direct_sunlight, self.cells, **medium.arguments, voxel=self._voxel, cells=self._places,
+            cell_column=cell_column, count=self.cells, sunlight=self._sunlight,
         )  # fmt: skip
         self._sunlight *= np.float32(self._albedo)
+
+    def _filled(self, rendering: Rendering, sums: DeviceArray) -> float:
+        """Adds what this rank's photons bring; returns what `Photons.fill` does."""
+        photons = round(_PHOTONS_PER_PATH * rendering.samples * len(self._operator.pixels))
+        places = {"column": self.column, "cells": self._places}
+        return self._photons.fill(rendering._medium, photons, rendering.seed, rendering.stream, places, sums)
 
     @property
     def buffers(self) -> dict[str, Any]:
@@ -166,6 +177,7 @@ class RadianceTable:
         with operator.device.lock:  # pyopencl's own kernels, too, are shared by threads
             gradient = total.astype(np.float32) * np.float32(unit)
         return gradient, tangent * irradiance / rendering.samples
+
 
 def _added_in_order(sums: np.ndarray, paths: np.ndarray) -> np.ndarray:
     """Sums of shape (pixels,) and what paths add, shape (paths, pixels), one after the other.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -14,10 +14,8 @@ from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.transport.medium import FilledMedium
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
-# Photons from the sun for each voxel of the mask, at least.
-_PER_VOXEL = int(os.environ.get("PERVOX", 64))
-# Of photons that start where light enters an open domain, for each from the sun: as many as the surface and the air
-# outside send of the sunlight, but no fewer than this share.
+# Where light enters an open domain photons start, for each from the sun as many as the surface and the air outside send
+# of the sunlight, but no fewer than this.
 _LEAST_ENTERING = 0.125
 
 
@@ -39,78 +37,79 @@ class Photons:
         assert operator.mask is not None
         self._operator, device, scene = operator, operator.device, operator.scene
         self._pace = Pace(device)
-        box = _box(scene, operator.mask)
+        lower, upper = box = _box(scene, operator.mask)
         sun_view, area = sun_view_struct(scene, box)
         self._pixels = int(sun_view["width"]) * int(sun_view["height"])
-        # Of every pixel of the sun's view.
-        self._samples = -(-_PER_VOXEL * int(operator.mask.sum()) // self._pixels)
-        self._power = float(scene.sun.direction[2]) * area / (self._samples * self._pixels)
         self._starts = {
             "sun_view": device.constant(sun_view),
             "pixel_count": self._pixels,
             "box": device.constant((np.array(box) / scene.grid.spacing).astype(np.float32)),
         }
+        x, y, z = upper - lower
+        self._sun_power = float(scene.sun.direction[2]) * area
+        self._face_power = 2 * np.pi * (x * y + y * z + z * x)  # of light of radiance 1 sr^-1
         self._unit = TABLE_UNIT / float(np.mean(scene.grid.spacing))
-        self._is_open = is_open = scene.boundary.horizontal == "open"
-        has_air_outside = is_open and scene.air is not None and scene.air.is_outside
-        self._entering, self._entering_unit = 0, 0.0
-        if is_open:
-            outside = "CLOUDTOMO_ATMOSPHERE"
-            features = tuple(feature for feature in features if feature != outside)
-            self._entering = round(_brightness(scene, has_air_outside) * self._samples * self._pixels)
-        if self._entering:
-            x, y, z = box[1] - box[0]
-            self._entering_unit = 2 * np.pi * (x * y + y * z + z * x) / self._entering / self._power
-            self._arriving_diffuse = device.kernel("arriving", "arriving_diffuse", operator.features)
-        if has_air_outside:
-            self._arriving_sunlight = device.kernel("arriving", "arriving_sunlight", operator.features)
-        self._weakened = has_air_outside
-        self._fill_table = device.kernel("photons", "fill_table", features)
+        self._is_open = scene.boundary.horizontal == "open"
+        self._is_weakened = self._is_open and scene.air is not None and scene.air.is_outside
+        self._entering = _brightness(scene, self._is_weakened) if self._is_open else 0.0
+        self._kernels = {
+            name: device.kernel("arriving", name, operator.features)
+            for name, wanted in (("arriving_sunlight", self._is_weakened), ("arriving_diffuse", self._entering > 0))
+            if wanted
+        }
+        if self._is_open:  # what photons inside of the domain have nothing to do with
+            features = tuple(feature for feature in features if feature != "CLOUDTOMO_ATMOSPHERE")
+        self._kernels["fill_table"] = device.kernel("photons", "fill_table", features)
         self._no_weights = device.empty(1, np.float32)
 
-    @property
-    def radiance_of_unit(self) -> float:
-        """Times 1 km^3 sr: the radiance, for a sun of irradiance 1, that a unit of the sums stands for."""
-        return self._power / self._unit
-
-    def fill(self, medium: FilledMedium, seed: int, stream: int, table: dict[str, Any], sums: DeviceArray) -> None:
+    def fill(
+        self, medium: FilledMedium, photons: int, seed: int, stream: int, table: dict[str, Any], sums: DeviceArray
+    ) -> float:
         """Adds what this rank's photons bring.
 
         Parameters
         ----------
         medium : the extinction
-        seed, stream : by which photons are drawn
+        photons : from the sun, at least, of all ranks; rounded up to a multiple of the columns that the sun sees
+        seed, stream : by which they are drawn
         table : the kernel's `column` and `cells`
-        sums : int64, shape (cells, bins), units of `radiance_of_unit`
-        """
-        around = medium.arguments | self._starts | {"seed": seed, "stream": stream}
-        arguments = around | table | {"unit": self._unit, "table_sums": sums}
-        if self._is_open:
-            arguments["scene"] = medium.inside_struct
-        for first, count in self._parts(self._samples, self._pixels):
-            photons = count * self._pixels
-            weights = self._no_weights
-            if self._weakened:
-                weights = self._operator.device.empty(photons, np.float32)
-                self._operator.device.launch(
-                    self._arriving_sunlight, photons, **around, first_sample=first, count=photons, weights=weights
-                )
-            self._pace.launch(
-                self._fill_table, photons, **arguments, first_sample=first, photon_count=photons, enters_box=False,
-                weighted=self._weakened, weights=weights,
-            )  # fmt: skip
-        for first, count in self._parts(self._entering, 1):
-            weights = self._operator.device.empty(count, np.float32)
-            self._operator.device.launch(
-                self._arriving_diffuse, count, **around, first_sample=first, count=count, unit=self._entering_unit,
-                weights=weights,
-            )  # fmt: skip
-            self._pace.launch(
-                self._fill_table, count, **arguments, first_sample=first, photon_count=count, enters_box=True,
-                weighted=True, weights=weights,
-            )  # fmt: skip
+        sums : int64, shape (cells, bins)
 
-    def _parts(self, samples: int, pixels: int) -> Any:
+        Returns
+        -------
+        What a unit of the sums of all ranks is of the radiance of a bin of 1 sr in a cell of 1 km^3, sr^-1, for a sun
+        of irradiance 1
+        """
+        samples = -(-photons // self._pixels)
+        power = self._sun_power / (samples * self._pixels)  # of a photon of weight 1
+        starts = medium.arguments | self._starts | {"seed": seed, "stream": stream}
+        photon = starts | table | {"unit": self._unit, "table_sums": sums}
+        if self._is_open:
+            photon["scene"] = medium.inside_struct
+        for first, count in self._parts(samples, self._pixels):
+            self._trace(starts, photon, first, count * self._pixels)
+        entering = round(self._entering * samples * self._pixels)
+        for first, count in self._parts(entering, 1):
+            self._trace(starts, photon, first, count, self._face_power / entering / power)
+        return power / self._unit
+
+    def _trace(
+        self, starts: dict[str, Any], photon: dict[str, Any], first: int, count: int, weight: float | None = None
+    ) -> None:
+        """Traces photons from the sun, or those that enter; `weight`: of one that enters with a radiance of 1 sr^-1."""
+        device, weights = self._operator.device, self._no_weights
+        enters = weight is not None
+        is_weighted = enters or self._is_weakened
+        if is_weighted:
+            weights = device.empty(count, np.float32)
+            name, unit = ("arriving_diffuse", {"unit": weight}) if enters else ("arriving_sunlight", {})
+            device.launch(self._kernels[name], count, **starts, **unit, first_sample=first, count=count, weights=weights)
+        self._pace.launch(
+            self._kernels["fill_table"], count, **photon, first_sample=first, photon_count=count, enters_box=enters,
+            weighted=is_weighted, weights=weights,
+        )  # fmt: skip
+
+    def _parts(self, samples: int, pixels: int) -> Iterator[tuple[int, int]]:
         """This rank's samples, as launches take them: the first, and how many."""
         own = self._operator.ranks.part(samples)
         begin = own.start
