@@ -16,7 +16,7 @@ from cloudtomo_cl.transport.photons import Photons
 from cloudtomo_cl.transport.radiance import FIXED_POINT_SCALE, RadianceOperator, Rendering, largest_adjoint
 
 # Photons from the sun for each path of the rendering whose derivatives are wanted.
-_PHOTONS_PER_PATH = float(__import__("os").environ.get("PERPATH", 1))
+_PHOTONS_PER_PATH = 1
 # Of an entry on the device: its sum, and what becomes of it. On the host, where several ranks add up: their sums.
 _BYTES_PER_ENTRY, _LARGEST_BYTES, _HOST_BYTES = 12, 8, 24
 # Kernels count the table's entries with signed integers of 32 bits.
@@ -141,7 +141,7 @@ class RadianceTable:
 
     def _filled(self, rendering: Rendering, sums: DeviceArray) -> float:
         """Adds what this rank's photons bring; returns what `Photons.fill` does."""
-        photons = round(_PHOTONS_PER_PATH * rendering.samples * len(self._operator.pixels))
+        photons = _PHOTONS_PER_PATH * rendering.samples * len(self._operator.pixels)
         places = {"column": self.column, "cells": self._places}
         return self._photons.fill(rendering._medium, photons, rendering.seed, rendering.stream, places, sums)
 

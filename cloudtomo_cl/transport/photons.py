@@ -14,9 +14,9 @@ from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.transport.medium import FilledMedium
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
-# Where light enters an open domain photons start, for each from the sun as many as the surface and the air outside send
-# of the sunlight, but no fewer than this.
-_LEAST_ENTERING = 0.125
+# Where light enters an open domain photons start, for each from the sun so many times what surface and air outside send
+# of the sunlight: it is smooth, hardly changes what derivatives are made of, and its noise would. At least, and at most.
+_ENTERING, _LEAST_ENTERING, _MOST_ENTERING = 3.0, 0.125, 1.0
 
 
 class Photons:
@@ -51,7 +51,7 @@ class Photons:
         self._unit = TABLE_UNIT / float(np.mean(scene.grid.spacing))
         self._is_open = scene.boundary.horizontal == "open"
         self._is_weakened = self._is_open and scene.air is not None and scene.air.is_outside
-        self._entering = _brightness(scene, self._is_weakened) if self._is_open else 0.0
+        self._entering = _entering_share(scene, self._is_weakened) if self._is_open else 0.0
         self._kernels = {
             name: device.kernel("arriving", name, operator.features)
             for name, wanted in (("arriving_sunlight", self._is_weakened), ("arriving_diffuse", self._entering > 0))
@@ -128,9 +128,9 @@ def _box(scene: Scene, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return spacing * kept.min(axis=0), spacing * (kept.max(axis=0) + 1)
 
 
-def _brightness(scene: Scene, has_air_outside: bool) -> float:
-    """What surface and air around an open domain send into it, roughly, as a share of the sunlight; 0: nothing."""
+def _entering_share(scene: Scene, has_air_outside: bool) -> float:
+    """Photons that start where light enters an open domain, for each from the sun; 0 where nothing sends light."""
     levels, extinction = scene.air_layers()
     air = float(np.sum(extinction * np.diff(levels))) if has_air_outside else 0.0
-    share = scene.surface.albedo + air
-    return min(max(share, _LEAST_ENTERING), 1.0) if share > 0 else 0.0
+    sent = scene.surface.albedo + air
+    return min(max(_ENTERING * sent, _LEAST_ENTERING), _MOST_ENTERING) if sent > 0 else 0.0
