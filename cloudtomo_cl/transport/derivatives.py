@@ -1,4 +1,4 @@
-"""The field of radiance inside a cloud, and the gradient that it gives."""
+"""The radiance table inside a cloud, and the gradient that it gives."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ def table_footprint(voxels: int) -> Footprint:
 class RadianceTable:
     """A table of the diffuse radiance by voxel and direction, and gradients by it.
 
-    Voxels that are optically deep are divided into cells (cells.py), for light changes inside. Photons from the sun fill
-    it (photons.py), as many as the rendering has paths: it is a function of a rendering's extinction, seed and stream,
-    and nothing of it is kept from one to the next. Its noise falls where derivatives are averaged.
+    Voxels that are optically deep are divided into cells (cells.py), for light changes inside. Photons from the sun
+    fill it (photons.py), as many as the rendering has paths: it is a function of a rendering's extinction, seed and
+    stream, and nothing of it is kept from one to the next. Its noise falls where derivatives are averaged.
 
     Parameters
     ----------

@@ -14,8 +14,9 @@ from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.transport.medium import FilledMedium
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
-# Where light enters an open domain photons start, for each from the sun so many times what surface and air outside send
-# of the sunlight: it is smooth, hardly changes what derivatives are made of, and its noise would. At least, and at most.
+# Where light enters an open domain photons start, for each from the sun so many times what surface and air outside
+# send of the sunlight: it is smooth, and hardly changes what derivatives are made of, but its noise would. At least, and
+# at most.
 _ENTERING, _LEAST_ENTERING, _MOST_ENTERING = 3.0, 0.125, 1.0
 
 
@@ -102,8 +103,11 @@ class Photons:
         is_weighted = enters or self._is_weakened
         if is_weighted:
             weights = device.empty(count, np.float32)
-            name, unit = ("arriving_diffuse", {"unit": weight}) if enters else ("arriving_sunlight", {})
-            device.launch(self._kernels[name], count, **starts, **unit, first_sample=first, count=count, weights=weights)
+            own: dict[str, Any] = {"first_sample": first, "count": count, "weights": weights}
+            if enters:
+                device.launch(self._kernels["arriving_diffuse"], count, **starts, **own, unit=weight)
+            else:
+                device.launch(self._kernels["arriving_sunlight"], count, **starts, **own)
         self._pace.launch(
             self._kernels["fill_table"], count, **photon, first_sample=first, photon_count=count, enters_box=enters,
             weighted=is_weighted, weights=weights,

@@ -54,7 +54,8 @@ def gradients(operator, values, samples, iterations, adjoint):
 
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
 def test_gradients_are_close_to_the_score_functions(device, scene):
-    """Both by 10^6 paths; over voxels with cloud: direction within 15 degrees, length within 25 %."""
+    """Both by 10^6 paths; over voxels with cloud: direction within 15 degrees (20 over ground, where the
+    table has more noise), length within 25 %."""
     values, mask = extinction(), np.ones(GRID.shape, bool)
     operator = RadianceOperator(scene, VIEWS, device, mask=mask)
     adjoint = np.full((72, 2), 0.5)
@@ -65,7 +66,7 @@ def test_gradients_are_close_to_the_score_functions(device, scene):
     found = gradients(operator, values, 1000, 12, adjoint)
     cloud = values > 1
     a, b = found[cloud], expected[cloud]
-    assert a @ b / np.sqrt((a @ a) * (b @ b)) > 0.966
+    assert a @ b / np.sqrt((a @ a) * (b @ b)) > np.cos(np.radians(20 if scene.surface.albedo else 15))
     assert 0.75 < np.sqrt((a @ a) / (b @ b)) < 1.25
 
 
@@ -167,7 +168,8 @@ def test_light_that_changes_inside_of_deep_voxels_is_followed(device, monkeypatc
 LIT = SCENES | {
     "bright ground": Scene(GRID, Sun(zenith=60, azimuth=20), Cloud(), surface=Surface(0.9)),
     "air outside": Scene(
-        GRID, Sun(zenith=20, azimuth=130), Cloud(0.98), Air((2.0, 1.5, 1.0), 0.9, levels=(0, 0.15, 0.5, 1)), Surface(0.5)
+        GRID, Sun(zenith=20, azimuth=130), Cloud(0.98), Air((2.0, 1.5, 1.0), 0.9, levels=(0, 0.15, 0.5, 1)),
+        Surface(0.5),
     ),
 }  # fmt: skip
 
@@ -207,8 +209,9 @@ def test_cells_of_a_voxel_have_its_light(device):
 
 
 def test_what_droplets_absorb_is_the_light_that_crosses_them(device):
-    """Exact: absorbed are extinction x (1 - albedo) x (4 pi x mean radiance + direct sunlight). Fluxes by other photons;
-    within 4 standard errors, of under 1 %."""
+    """Exact: absorbed are extinction x (1 - albedo) x (4 pi x mean radiance + direct sunlight).
+
+    Fluxes by other photons; within 4 standard errors, of under 1 %, and 0.5 % that points of direct sunlight miss."""
     scene = Scene(GRID, Sun(zenith=40, azimuth=200), Cloud(0.8, HenyeyGreenstein(g=0.7)))
     values = np.minimum(extinction(), 12).astype(np.float32)
     operator = RadianceOperator(scene, VIEWS, device, mask=values > 0)
