@@ -15,8 +15,8 @@ from cloudtomo_cl.transport.medium import FilledMedium
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
 # Where light enters an open domain photons start, for each from the sun so many times what surface and air outside
-# send of the sunlight: it is smooth, and hardly changes what derivatives are made of, but its noise would. At least, and
-# at most.
+# send of the sunlight: it is smooth and hardly changes what derivatives are made of, but its noise would. At least, at
+# most.
 _ENTERING, _LEAST_ENTERING, _MOST_ENTERING = 3.0, 0.125, 1.0
 
 
