@@ -1,5 +1,6 @@
 /* The gradient of a cost by the radiance table (derivatives.h), and what is needed to make the table. */
 #include "radiance_table.h"
+#include "walk/accumulate.h"
 #include "walk/turns.h"
 
 typedef struct {
@@ -21,8 +22,7 @@ inline void tally_derivative(int index, int column, float derivative, bool is_fi
 
 #include "derivatives.h"
 
-/* As replay_paths; adds to the table's sums what the paths bring, and nothing to the gradient where the
- * adjoint is 0. */
+/* As replay_paths, and the path's derivative along a change; nothing is added to the gradient where the adjoint is 0. */
 __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
 {
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);

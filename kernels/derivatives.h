@@ -4,8 +4,9 @@
  * direction what comes from elsewhere. So along every flight of a path of throughput w, a crossing of
  * l km in direction d adds w l (source(d) - radiance(d)) to the derivative of the pixel, with the
  * source function that droplets there would have, and the way to the sun adds -l times the local
- * estimate. Source and radiance come from the table, which the paths of all pixels fill. It is this
- * pooling that takes the noise out; the table's cells are what biases it (docs/explanation/derivatives.md).
+ * estimate. Source and radiance come from the table, which photons from the sun have filled (photons.cl). So one
+ * path has the mean of all light that shines where it goes, and little noise; the table's cells are what biases it
+ * (docs/explanation/derivatives.md).
  *
  * The including file defines, before it includes this, the struct `Tally` with at least the members of
  * walk/radiance.h and
@@ -22,6 +23,7 @@
 #define CLOUDTOMO_DERIVATIVES_H
 
 #include "radiance_table.h"
+#include "walk/accumulate.h"
 #include "walk/estimate.h"
 #include "walk/replayed.h"
 
@@ -30,12 +32,15 @@ typedef struct {
     float throughput;  /* with which the flight's radiance counts in the pixel: of the path, times the flight's share */
     float sun_density; /* of scattering by droplets from the sun into the flight, sr^-1 */
     int bin;           /* of its direction */
-    float weight;      /* of the flight as a sample for the table; 0: none */
-    float incident;    /* radiance x weight that it brings, sr^-1 */
     bool is_first;     /* from the camera */
 } Payload;
 
-/* A crossing is so short in what is optically deep that its middle stands for it. */
+/* What more droplets in a cell would send along a flight, less what they would take, sr^-1. */
+inline float cell_source(const RadianceTable *table, uint cell, Payload payload)
+{
+    return table->scattered[cell * DIRECTION_BINS + payload.bin] + payload.sun_density * table->sunlight[cell];
+}
+
 inline void deposit_crossing(const __constant Scene *scene, const Ray *ray, const VoxelWalk *walk, float length,
                              Payload payload, Tally *tally)
 {
@@ -43,15 +48,18 @@ inline void deposit_crossing(const __constant Scene *scene, const Ray *ray, cons
     const int index = walk->index, column = table->column[index];
     if (column < 0)
         return;
-    const float middle = walk->distance + 0.5f * length;
-    const uint cell = cell_at(table, column, ray->position + middle * ray->direction / grid_spacing(scene));
-    const uint place = cell * DIRECTION_BINS + payload.bin;
-    const float source = table->scattered[place] + payload.sun_density * table->sunlight[cell];
-    tally_derivative(index, column, length * (payload.throughput * source), payload.is_first, tally);
-    if (payload.weight > 0.0f) {
-        accumulate(table->sums + 2 * place, TABLE_UNIT * length * payload.weight);
-        accumulate(table->sums + 2 * place + 1, TABLE_UNIT * length * payload.incident);
+    const uint4 cells = table->cells[column];
+    float sources = 0.0f; /* times their lengths */
+    if (is_whole(cells)) {
+        sources = length * cell_source(table, cells.x, payload);
+    } else {
+        CellWalk part = walk_cells(scene, cells, ray, walk->distance, length);
+        while (part.from < length) {
+            const float source = cell_source(table, part.cell, payload);
+            sources += leave_cell(&part, length) * source;
+        }
     }
+    tally_derivative(index, column, payload.throughput * sources, payload.is_first, tally);
 }
 
 #define TRAVERSAL fly_and_deposit
@@ -74,43 +82,31 @@ inline void deposit_shadow(int index, float length, float radiance, Tally *tally
 #define SKIPS()
 #include "walk/traversal.h"
 
-inline Flight tally_fly(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)
-{
-    return fly(medium, ray, segment->optical_depth);
-}
-
-/* What a flight brings is known at its end: it is flown again, to deposit. */
-inline void deposit_segment(const Medium *medium, const Segment *segment, float share, float weight, float incident,
-                            Tally *tally)
+inline Payload payload_of(const Medium *medium, const Segment *segment, float share)
 {
     Payload payload;
     payload.throughput = share * segment->throughput;
     payload.sun_density = sun_density(medium, segment->start.direction);
     payload.bin = direction_bin(segment->start.direction);
-    payload.weight = weight;
-    payload.incident = incident;
     payload.is_first = segment->event == 1u;
-    Ray ray = segment->start;
-    fly_and_deposit(medium, &ray, segment->optical_depth, payload, tally);
+    return payload;
+}
+
+inline Flight tally_fly(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)
+{
+    return fly_and_deposit(medium, ray, segment->optical_depth, payload_of(medium, segment, tally->own_share), tally);
 }
 
 inline void tally_segment(const Medium *medium, const Segment *segment, const Flight *flight, Particle end, float share,
                           float local_radiance, Tally *tally)
 {
-    float incident = 0.0f;
-    if (end != PARTICLE_NONE) {
-        /* Side flights have no part in what the surface reflects. */
-        const float part = end == PARTICLE_SURFACE ? 1.0f : share;
-        incident = local_radiance / part + remaining_radiance(tally->total, tally->radiance);
-    }
-    deposit_segment(medium, segment, share, segment->throughput, incident, tally);
 }
 
-/* Side flights do not go into the table: what they would bring is known for one more scattering only. */
 inline void tally_side_flight(const Medium *medium, const Segment *segment, const Flight *flight, Particle end,
                               float share, float local_radiance, Tally *tally)
 {
-    deposit_segment(medium, segment, share, 0.0f, 0.0f, tally);
+    Ray ray = segment->start;
+    fly_and_deposit(medium, &ray, segment->optical_depth, payload_of(medium, segment, share), tally);
 }
 
 inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalEstimate *estimate, Tally *tally)

@@ -2,6 +2,7 @@
  * sight one by one, elsewhere by blocks of pixels and voxels. */
 #include "near_field.h"
 #include "radiance_table.h"
+#include "walk/accumulate.h"
 #include "walk/turns.h"
 
 typedef struct {
@@ -25,7 +26,7 @@ inline void tally_derivative(int index, int column, float derivative, bool is_fi
 
 #include "derivatives.h"
 
-/* Sums over all paths of a launch of the pixels from first_pixel on. The paths go into the table's sums, too. */
+/* Sums over all paths of a launch of the pixels from first_pixel on. */
 __kernel void jacobian_paths(JACOBIAN_PATHS_PARAMETERS)
 {
     const uint samples = path_count / pixel_count;

@@ -6,7 +6,7 @@
 #ifndef CLOUDTOMO_RADIANCE_TABLE_H
 #define CLOUDTOMO_RADIANCE_TABLE_H
 
-#include "walk/accumulate.h"
+#include "walk/grid.h"
 #include "walk/phase.h"
 
 __constant float ring_cosine[DIRECTION_RINGS + 1] = {RING_COSINES}; /* edges, from 1 down to -1 */
@@ -24,29 +24,82 @@ inline int direction_bin(float3 direction)
 }
 
 typedef struct {
-    const __global int *column;          /* of every voxel in the table, or -1 */
-    const __global uint4 *cells;         /* of every column: its first cell, and parts along x, y, z */
-    const __global float *scattered;     /* [cell][bin]: source - radiance, sr^-1 */
-    const __global float *sunlight;      /* [cell]: direct, share of the irradiance */
-    volatile __global Accumulator *sums; /* [cell][bin][2]: km, sr^-1 km; what paths bring for the next table */
+    const __global int *column;      /* of every voxel in the table, or -1 */
+    const __global uint4 *cells;     /* of every column: its first cell, and parts along x, y, z */
+    const __global float *scattered; /* [cell][bin]: source - radiance, sr^-1 */
+    const __global float *sunlight;  /* [cell]: direct, share of the irradiance */
 } RadianceTable;
 
-#define TABLE_ARGUMENTS column, cells, scattered, sunlight, table_sums
+#define TABLE_ARGUMENTS column, cells, scattered, sunlight
 inline RadianceTable make_table(const __global int *column, const __global uint4 *cells,
-                                const __global float *scattered, const __global float *sunlight,
-                                volatile __global Accumulator *sums)
+                                const __global float *scattered, const __global float *sunlight)
 {
-    const RadianceTable table = {column, cells, scattered, sunlight, sums};
+    const RadianceTable table = {column, cells, scattered, sunlight};
     return table;
 }
 
-/* The cell at a position, in voxel units, inside of a column's voxel or a periodic copy of it. */
-inline uint cell_at(const RadianceTable *table, int column, float3 position)
+/* A walk along a crossing of a voxel, from cell to cell. */
+typedef struct {
+    float next_x, next_y, next_z; /* km from the crossing's start to the next face of a cell, per axis */
+    float per_part_x, per_part_y, per_part_z;
+    int ahead_x, ahead_y, ahead_z; /* cells ahead in the voxel, per axis; -1: it has been left */
+    int stride_x, stride_y, stride_z;
+    uint cell;
+    float from; /* km from the crossing's start to where the cell begins */
+} CellWalk;
+
+/* Along one axis: `start` is where the crossing begins in the voxel, from 0 to 1, `slope` voxels per km. */
+inline void begin_axis(float start, float slope, uint parts, int stride, CellWalk *walk, float *next, float *per_part,
+                       int *ahead, int *step)
 {
-    const uint4 cells = table->cells[column];
-    const uint3 parts = cells.yzw;
-    const uint3 part = min(convert_uint3((position - floor(position)) * convert_float3(parts)), parts - 1u);
-    return cells.x + (part.x * parts.y + part.y) * parts.z + part.z;
+    const float at = within(start, 0.0f, 1.0f) * (float)parts;
+    const int part = min((int)at, (int)parts - 1);
+    const bool up = slope > 0.0f;
+    *per_part = 1.0f / (magnitude(slope) * (float)parts);
+    *next = slope == 0.0f ? INFINITY : (up ? (float)(part + 1) - at : at - (float)part) * *per_part;
+    *ahead = up ? (int)parts - 1 - part : part;
+    *step = up ? stride : -stride;
+    walk->cell += part * stride;
 }
+
+/* Of a crossing of a column's voxel that begins `begin` km along a ray and is `length` km long. */
+inline CellWalk walk_cells(const __constant Scene *scene, uint4 cells, const Ray *ray, float begin, float length)
+{
+    const float3 slope = ray->direction / grid_spacing(scene);
+    const float3 corner = floor(ray->position + (begin + 0.5f * length) * slope);
+    const float3 start = ray->position + begin * slope - corner;
+    CellWalk walk;
+    walk.cell = cells.x;
+    walk.from = 0.0f;
+    begin_axis(start.x, slope.x, cells.y, cells.z * cells.w, &walk, &walk.next_x, &walk.per_part_x, &walk.ahead_x,
+               &walk.stride_x);
+    begin_axis(start.y, slope.y, cells.z, cells.w, &walk, &walk.next_y, &walk.per_part_y, &walk.ahead_y,
+               &walk.stride_y);
+    begin_axis(start.z, slope.z, cells.w, 1, &walk, &walk.next_z, &walk.per_part_z, &walk.ahead_z, &walk.stride_z);
+    return walk;
+}
+
+/* To the next cell; returns the length of the one that is left, km. Whoever has walked `length` is at the end. */
+inline float leave_cell(CellWalk *walk, float length)
+{
+    const float exit = lesser(walk->next_z, lesser(walk->next_x, walk->next_y));
+    const bool z = walk->next_z == exit;
+    const bool x = !z && walk->next_x == exit;
+    const bool y = !z && !x;
+    walk->next_x += x ? walk->per_part_x : 0.0f;
+    walk->next_y += y ? walk->per_part_y : 0.0f;
+    walk->next_z += z ? walk->per_part_z : 0.0f;
+    walk->ahead_x -= x;
+    walk->ahead_y -= y;
+    walk->ahead_z -= z;
+    /* The last cell has what rounding leaves of the voxel. */
+    const bool leaves = (walk->ahead_x | walk->ahead_y | walk->ahead_z) < 0;
+    const float from = walk->from;
+    walk->from = leaves ? length : within(exit, from, length);
+    walk->cell += leaves ? 0 : z ? walk->stride_z : x ? walk->stride_x : walk->stride_y;
+    return walk->from - from;
+}
+
+inline bool is_whole(uint4 cells) { return cells.y * cells.z * cells.w == 1u; }
 
 #endif

@@ -39,7 +39,7 @@ def timed_methods() -> dict[str, list[tuple[Any, str]]]:
     return {
         "paths": [(RadianceOperator, "_walk"), (JacobianSums, "_add_rows"), (RadianceTable, "_walk")],
         "products": [(Jacobian, "times"), (Jacobian, "transposed"), (Jacobian, "curvature")],
-        "table": [(RadianceTable, "_refresh")],
+        "table": [(RadianceTable, "prepare")],
     }
 
 
@@ -134,7 +134,7 @@ def iterations(device: Any, clock: Clock) -> dict[str, Any]:
     mask = binary_dilation(extinction > 0, iterations=MARGIN)
     problem, solver = ct.Problem.of(given, measured, mask=mask, device=device), ct.GaussNewton()
     state = solver.init(problem, np.full(len(problem.voxels), 5.0))
-    state, _ = solver.step(problem, state, seed=SEED, stream=1)  # which fills the table once more
+    state, _ = solver.step(problem, state, seed=SEED, stream=1)
     clock.clear()
     sent, paths = device.ranks.sent, 0
     for stream in range(2, 2 + ITERATIONS):
@@ -152,7 +152,7 @@ def iterations(device: Any, clock: Clock) -> dict[str, Any]:
         "pixels": len(problem.active),
         "voxels": len(problem.voxels),
         "entries": structure.entries,
-        "cells": len(table._cells),
+        "cells": table.cells,
         "bins": BINS,
     }
 
@@ -230,7 +230,7 @@ def sizes(measured: dict[str, Any]) -> list[Size]:
 def predicted(size: Size, measured: dict[str, Any], ranks: int, given: Assumptions) -> dict[str, float]:
     """Seconds of an iteration, by kind, and GB on a rank and sent by it."""
     cells = measured["cells"] / measured["voxels"] * size.voxels
-    table = 16 * measured["bins"] * cells
+    table = 8 * measured["bins"] * cells
     entries = 25 * size.slabs * size.pixels
     paths = measured["paths"] / measured["voxels"] * size.voxels
     hops = np.ceil(np.log2(ranks)) if ranks > 1 else 0.0
@@ -247,7 +247,7 @@ def predicted(size: Size, measured: dict[str, Any], ranks: int, given: Assumptio
         "vectors": several * vectors / given.network + measured["products"] * hops * given.latency,
         "values": several * 4 * entries / ranks / given.network + (ranks - 1) * given.latency,
     }
-    gb = (20 * entries / ranks + 1.25 * table + 4 * paths / 6 / ranks) / 1e9
+    gb = (20 * entries / ranks + 1.5 * table + 4 * paths / 6 / ranks) / 1e9
     return seconds | {"GB": gb, "sent GB": (table + vectors / ranks + 4 * entries / ranks) / 1e9 * (ranks > 1)}
 
 

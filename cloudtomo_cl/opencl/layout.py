@@ -186,25 +186,29 @@ def view_structs(views: Sequence[View], grid: Grid, top: float | None = None) ->
     return structs
 
 
-def sun_view_struct(scene: Scene) -> tuple[np.ndarray, float]:
+def sun_view_struct(scene: Scene, box: tuple[np.ndarray, np.ndarray] | None = None) -> tuple[np.ndarray, float]:
     """The sun's view of the domain, whose rays photons start along: a View, and its horizontal area, km^2.
 
     It is the top of the domain (or of the atmosphere), a pixel for each column; with open sides
     wider by what of the sides the sun can see.
+
+    box : of an open domain, the part that photons are to meet: two corners, km from the domain's lower one, shape (3,)
     """
     grid, to_sun = scene.grid, scene.sun.direction
-    lower, upper = np.zeros(2), np.array(grid.extent[:2])
-    columns = np.array(grid.shape[:2])
+    lower, upper = np.zeros(3), np.array(grid.extent)
+    top = scene.top - grid.origin[2]
     if scene.boundary.horizontal == "open":
-        shift = grid.extent[2] * to_sun[:2] / to_sun[2]
-        lower, upper = np.minimum(lower, shift), np.maximum(upper, upper + shift)
-        columns = np.ceil((upper - lower) / grid.spacing[:2] - 1e-9).astype(int)
+        if box is not None:
+            (lower, upper), top = box, box[1][2]
+        shift = (upper[2] - lower[2]) * to_sun[:2] / to_sun[2]
+        lower, upper = np.minimum(lower[:2], lower[:2] + shift), np.maximum(upper[:2], upper[:2] + shift)
+    columns = np.ceil((upper - lower)[:2] / grid.spacing[:2] - 1e-9).astype(int)
     struct = np.zeros((), STRUCTS["View"])
-    struct["origin"] = [*lower, scene.top - grid.origin[2], upper[0] - lower[0], 0, 0, 0, upper[1] - lower[1], 0]
+    struct["origin"] = [*lower[:2], top, upper[0] - lower[0], 0, 0, 0, upper[1] - lower[1], 0]
     struct["direction"][:3] = -to_sun
     struct["width"], struct["height"] = columns
     struct["first_ray"] = -1
-    return struct, float(np.prod(upper - lower))
+    return struct, float(np.prod((upper - lower)[:2]))
 
 
 def ray_array(views: Sequence[View], scene: Scene) -> np.ndarray:

@@ -49,7 +49,15 @@ _TABLE = (
     "const __global uint4 *cells",  # of every column: its first cell, and parts along x, y, z
     "const __global float *scattered",  # [cell][bin]: source - radiance, sr^-1
     "const __global float *sunlight",  # [cell]: direct, share of the irradiance
-    "volatile __global Accumulator *table_sums",  # [cell][bin][2]: km, sr^-1 km
+)
+_STARTS = (  # of photons
+    *MEDIUM,
+    "const __global View *sun_view",
+    "const uint pixel_count",
+    "const __global float *box",  # lower and upper corner, voxels
+    "const uint first_sample",
+    "const uint seed",
+    "const uint stream",
 )
 _GRADIENT = (
     "const __global float2 *adjoint",  # per pixel: even, odd samples
@@ -213,15 +221,38 @@ KERNELS: dict[str, tuple[str, ...]] = {
         "const __global float *parts",  # [part][count]
         "__global float *result",
     ),
-    "probe_paths": (
-        *MEDIUM,
-        "const uint seed",
-        "const uint stream",
-        *_TABLE,
-        "const __global int *listed",  # index of every voxel that is probed
+    "fill_table": (
+        *_STARTS,
+        "const uint photon_count",
+        "const int enters_box",  # whether photons start on the box; or else in the sun's view
+        "const int weighted",  # whether weights are given
+        "const __global float *weights",
+        "const __global int *column",
+        "const __global uint4 *cells",
+        "const float unit",  # of the sums, per km
+        "volatile __global Accumulator *table_sums",  # [cell][bin]: weight x length
+        *_TURNS,
+    ),
+    "arriving_diffuse": (
+        *_STARTS,
         "const uint count",
-        "const uint samples",
-        "const float length",  # km
+        "const float unit",  # of the weights, sr
+        "__global float *weights",
+    ),
+    "arriving_sunlight": (
+        *_STARTS,
+        "const uint count",
+        "__global float *weights",
+    ),
+    "tabulate": (
+        "const __global Accumulator *table_sums",
+        "const __global float *scattering",  # [from bin][into bin]: scattered light less radiance
+        "const __global uint4 *cells",
+        "const __global int *cell_column",
+        "const uint count",
+        "const float unit",  # of the sums in a whole voxel
+        "__global float *scattered",
+        "volatile __global uint *overflown",  # number of sums
     ),
     "direct_sunlight": (
         *MEDIUM,

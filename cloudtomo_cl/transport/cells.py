@@ -76,16 +76,3 @@ class Cells:
     def places(self) -> np.ndarray:
         """First cell and parts along x, y, z of every voxel, as kernels take them: uint32, shape (voxels, 4)."""
         return np.column_stack([self.first, self.parts]).astype(np.uint32)
-
-    def summed(self, values: np.ndarray) -> np.ndarray:
-        """Sums over every voxel's cells: from (cells, ...) to (voxels, ...)."""
-        return values if len(self) == len(self.parts) else np.add.reduceat(values, self.first, axis=0)
-
-    def changed(self, values: np.ndarray, other: Cells) -> np.ndarray:
-        """What other cells hold of an amount that these hold; where a voxel is divided anew it is spread evenly."""
-        same = (self.parts == other.parts).all(axis=1)
-        if same.all():
-            return values
-        result = (self.summed(values) / other.counts.reshape(-1, *[1] * (values.ndim - 1)))[other.voxel]
-        result[np.repeat(same, other.counts)] = values[np.repeat(same, self.counts)]
-        return result.astype(values.dtype)

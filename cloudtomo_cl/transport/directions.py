@@ -33,6 +33,12 @@ _ANGLES = 4001
 _ISOTROPIC, _ROUGH = 1e4, 1e-3
 
 
+def solid_angles() -> np.ndarray:
+    """Of the bins, sr, shape (bins,)."""
+    rings = -2 * np.pi * np.diff(np.cos(np.radians(EDGES)))
+    return np.repeat(rings / AZIMUTHS, AZIMUTHS)
+
+
 @lru_cache
 def scattering_matrix(phase_function: PhaseFunction) -> np.ndarray:
     """From the radiance in each bin of directions to the light that droplets scatter into each.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.opencl.layout import scene_struct
 from cloudtomo_cl.scene.arrays import filled
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
-from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.scene.scene import Scene, Surface
 
 # Blocks along an axis, at most, of those that walks skip where they are clear: their table stays in a
 # processor's second-level cache.
@@ -31,12 +31,13 @@ class FilledMedium:
 
     Attributes
     ----------
-    struct : the kernels' Scene
+    struct, inside_struct : the kernels' Scene; the same over a black surface
     extinction : km^-1, array on the device
     skips_zeros : whether walks skip voxels because their extinction is 0: gradients would miss them
     """
 
     struct: Any
+    inside_struct: Any
     extinction: Any
     skips_zeros: bool
     _medium: Medium
@@ -84,10 +85,13 @@ class Medium:
         self.mask = mask
         # Molecules are everywhere: nothing can be skipped.
         self._has_air = scene.air is not None and bool(np.any(scene.air.profile(scene.grid)))
-        self._structs = {
-            skips: device.constant(scene_struct(scene, side_flights, truncation, skips, empty_shift(scene)))
-            for skips in (False, True)
-        }
+        self._structs, self._inside_structs = (
+            {
+                skips: device.constant(scene_struct(one, side_flights, truncation, skips, empty_shift(scene)))
+                for skips in (False, True)
+            }
+            for one in (scene, replace(scene, surface=Surface(0.0)))
+        )
         self._profiles = device.constant(profiles(scene))
         rows, self._radius = table_rows(scene, effective_radius)
         self._table_row = device.constant(rows)
@@ -153,6 +157,7 @@ class Medium:
                 clear, skips_zeros = self._clear(values > 0), True
         return FilledMedium(
             self._structs[clear is not None],
+            self._inside_structs[clear is not None],
             beta,
             skips_zeros,
             self,

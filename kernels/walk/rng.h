@@ -44,12 +44,14 @@ inline SampleKey sample_key(uint seed, uint stream, uint2 pixel, uint sample)
 /* The view of the photons that start in the sun. */
 #define SUN_VIEW 0xFFFFFFFFu
 /* Paths that belong to a camera's path draw from views of their own: added to the camera's view, of which there
- * are fewer. The virtual collisions of a path, the path from one of them, and those that find path lengths. Paths
- * that start in a voxel have one for all. */
+ * are fewer. The virtual collisions of a path, the path from one of them, and those that find path lengths.
+ * Photons of the radiance table have one for all, or two where they start with the light of a path. */
 #define VIRTUAL_COLLISIONS_VIEW 0x80000000u
 #define VIRTUAL_PATHS_VIEW 0x40000000u
 #define PATH_LENGTHS_VIEW 0x20000000u
-#define PROBES_VIEW 0x10000000u
+#define TABLE_PHOTONS_VIEW 0x10000000u
+#define ARRIVING_VIEW 0x10000001u
+#define ARRIVED_VIEW 0x10000002u
 
 /* Blocks of a path: block 0 places the ray in its pixel; event k = 1, 2, ... has the
  * BLOCKS_PER_EVENT blocks from k * BLOCKS_PER_EVENT on. Inside an event: */

@@ -1,7 +1,7 @@
-"""The gradient by the radiance table, against the score function's and finite differences.
+"""The radiance table against rays and fluxes, and the gradient by it against the score function's and differences.
 
-The field's table has cells of a voxel and about 0.17 sr, so it is right up to a bias: what is tested
-is that the bias is small where there is cloud, and that nothing else is wrong.
+What photons bring is unbiased. The table has cells of a voxel and about 0.17 sr, so the gradient is right up to a bias:
+what is tested is that it is small, and that nothing else is wrong.
 """
 
 import numpy as np
@@ -15,8 +15,10 @@ from cloudtomo_cl.scene.phase import HenyeyGreenstein
 from cloudtomo_cl.scene.pixels import neighbours
 from cloudtomo_cl.scene.scene import Air, Boundary, Cloud, Scene, Sun, Surface
 from cloudtomo_cl.scene.sensors import OrthographicView, RayView
+from cloudtomo_cl.transport.cells import Cells
 from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.directions import AZIMUTHS, BINS, EDGES, scattering_matrix
+from cloudtomo_cl.transport.flux import FluxOperator
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
 GRID = Grid(shape=(5, 5, 5), spacing=(0.05, 0.05, 0.05), origin=(0.0, 0.0, 0.1))
@@ -52,7 +54,8 @@ def gradients(operator, values, samples, iterations, adjoint):
 
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
 def test_gradients_are_close_to_the_score_functions(device, scene):
-    """Both by 10^6 paths; over voxels with cloud: direction within 15 degrees, length within 25 %."""
+    """Both by 10^6 paths; over voxels with cloud: direction within 15 degrees (20 over ground, where the
+    table has more noise), length within 25 %."""
     values, mask = extinction(), np.ones(GRID.shape, bool)
     operator = RadianceOperator(scene, VIEWS, device, mask=mask)
     adjoint = np.full((72, 2), 0.5)
@@ -63,14 +66,12 @@ def test_gradients_are_close_to_the_score_functions(device, scene):
     found = gradients(operator, values, 1000, 12, adjoint)
     cloud = values > 1
     a, b = found[cloud], expected[cloud]
-    assert a @ b / np.sqrt((a @ a) * (b @ b)) > 0.966
+    assert a @ b / np.sqrt((a @ a) * (b @ b)) > np.cos(np.radians(20 if scene.surface.albedo else 15))
     assert 0.75 < np.sqrt((a @ a) / (b @ b)) < 1.25
 
 
-def test_clear_voxels_get_a_gradient_of_the_right_sign_and_order(device):
-    """Where the score function has none. Beside a cloud the table knows the light from few directions only, and the
-    gradient is too large (docs/measurements/derivatives.md): between half and twice the finite difference, summed
-    over them."""
+def test_clear_voxels_get_the_gradient_of_finite_differences(device):
+    """Where the score function has none: within 20 %, summed over them."""
     scene, values, mask = SCENES["overhead sun"], extinction(), np.ones(GRID.shape, bool)
     operator = RadianceOperator(scene, VIEWS, device, mask=mask)
     clear = values == 0
@@ -79,7 +80,7 @@ def test_clear_voxels_get_a_gradient_of_the_right_sign_and_order(device):
     more, less = (
         operator.render(v, 100_000, 5).mean.sum() for v in (np.where(clear, step, values).astype(np.float32), values)
     )
-    assert 0.5 < found / ((more - less) / step) < 2
+    assert 0.8 < found / ((more - less) / step) < 1.2
 
 
 def test_the_tangent_is_what_images_change_by(device):
@@ -96,19 +97,17 @@ def test_the_tangent_is_what_images_change_by(device):
     assert np.mean(tangents[4:]) == pytest.approx((more - less) / 2, rel=0.15)
 
 
-def test_a_field_goes_on_with_the_same_bits(device):
+def test_a_table_is_a_function_of_the_rendering(device):
+    """Whatever it was made of before: nothing of it is to be stored."""
     scene, values = SCENES["overhead sun"], extinction()
     operator = RadianceOperator(scene, VIEWS, device, mask=values > 0)
     nothing = pyopencl.array.zeros(device.queue, GRID.shape, np.float32)
-    renderings = [operator.render(values, 100, 3, iteration, store_paths=True) for iteration in range(8)]
-    straight, stopped = RadianceTable(operator), RadianceTable(operator)
-    expected = [straight.gradient(r, np.ones((72, 2)), nothing)[0].get() for r in renderings]
-    for rendering in renderings[:5]:
-        stopped.gradient(rendering, np.ones((72, 2)), nothing)
-    resumed = RadianceTable(operator)
-    resumed.restore(stopped.arrays())
-    found = [resumed.gradient(r, np.ones((72, 2)), nothing)[0].get() for r in renderings[5:]]
-    np.testing.assert_array_equal(found, expected[5:])
+    first, second = (operator.render(v, 100, 3, 1, store_paths=True) for v in (2 * values, values))
+    used, fresh = RadianceTable(operator), RadianceTable(operator)
+    used.gradient(first, np.ones((72, 2)), nothing)
+    found, expected = (table.gradient(second, np.ones((72, 2)), nothing)[0].get() for table in (used, fresh))
+    np.testing.assert_array_equal(found, expected)
+    assert found.any()
 
 
 def test_cells_of_directions_cover_the_sphere():
@@ -166,23 +165,64 @@ def test_light_that_changes_inside_of_deep_voxels_is_followed(device, monkeypatc
     assert (abs(ratio - 1) < 0.1 + 3 * error) == (cell == "divided"), (ratio, error)
 
 
-def test_probes_bring_the_light_that_arrives_in_a_voxel(device, random):
-    """Its mean over the sphere, in a clear voxel, as rays from there find it: within 4 standard errors."""
-    scene, values, mask = SCENES["overhead sun"], extinction(), np.zeros(GRID.shape, bool)
-    place = (4, 4, 4)
-    assert values[place] == 0
-    mask[place] = True
-    operator = RadianceOperator(scene, VIEWS, device, mask=mask | (values > 0))
-    field = RadianceTable(operator)
-    column = np.flatnonzero(operator.mask).searchsorted(np.ravel_multi_index(place, GRID.shape))
-    brought = []
-    for stream in range(200):
-        field._probe(operator.render(values, 2, 3, stream, store_paths=True))
-        length, radiance = field._field.get()[column].sum(axis=0)
-        field._field.fill(0)
-        brought.append(radiance / length * scene.sun.irradiance)
-    directions = random.normal(size=(4000, 3))
-    origins = (np.array(place) + random.random((4000, 3))) * GRID.spacing + GRID.origin
-    rays = RadianceOperator(scene, [RayView(origins=origins, directions=directions)], device).render(values, 20, 4).mean
-    error = np.hypot(np.std(brought) / np.sqrt(200), rays.std() / np.sqrt(4000))
-    assert abs(np.mean(brought) - rays.mean()) < 4 * error and error < 0.1 * rays.mean()
+LIT = SCENES | {
+    "bright ground": Scene(GRID, Sun(zenith=60, azimuth=20), Cloud(), surface=Surface(0.9)),
+    "air outside": Scene(
+        GRID, Sun(zenith=20, azimuth=130), Cloud(0.98), Air((2.0, 1.5, 1.0), 0.9, levels=(0, 0.15, 0.5, 1)),
+        Surface(0.5),
+    ),
+}  # fmt: skip
+
+
+def light(operator, values, photons, stream=0, parts=1):
+    """Mean diffuse radiance over the sphere that photons bring to the voxels of the mask, sr^-1 for a sun of 1; with
+    voxels divided into so many parts along each axis."""
+    table, voxels = RadianceTable(operator), int(operator.mask.sum())
+    cells = Cells(np.full((voxels, 3), parts, np.int32))
+    places = {"column": table.column, "cells": operator.device.constant(cells.places)}
+    sums = operator.device.zeros((len(cells), BINS), np.int64)
+    medium = operator.on_device(values)
+    unit = table._photons.fill(medium, photons, 6, stream, places, sums)
+    found = sums.get().reshape(voxels, -1).sum(axis=1)
+    return found * unit / np.prod(operator.scene.grid.spacing) / (4 * np.pi)
+
+
+@pytest.mark.parametrize("scene", LIT.values(), ids=LIT)
+def test_photons_bring_the_light_that_rays_from_there_find(device, random, scene):
+    """Over all voxels, clear ones among them: the mean within 4 standard errors, of 1 to 2 %."""
+    values, mask = extinction(), np.ones(GRID.shape, bool)
+    operator = RadianceOperator(scene, VIEWS, device, mask=mask)
+    brought = [light(operator, values, 4000, stream).mean() * scene.sun.irradiance for stream in range(16)]
+    directions = random.normal(size=(60_000, 3))
+    origins = random.random((60_000, 3)) * GRID.extent + GRID.origin
+    rays = RadianceOperator(scene, [RayView(origins=origins, directions=directions)], device).render(values, 4, 4).mean
+    error = np.hypot(np.std(brought, ddof=1) / np.sqrt(16), rays.std() / np.sqrt(60_000))
+    assert abs(np.mean(brought) - rays.mean()) < 4 * error and error < 0.03 * rays.mean()
+
+
+def test_cells_of_a_voxel_have_its_light(device):
+    """Photons walk through its cells, and leave there what they leave in a whole one."""
+    values, mask = extinction(), np.ones(GRID.shape, bool)
+    operator = RadianceOperator(SCENES["air, periodic"], VIEWS, device, mask=mask)
+    whole, divided = (light(operator, values, 5000, parts=parts) for parts in (1, 3))
+    np.testing.assert_allclose(divided, whole, rtol=1e-5)
+
+
+def test_what_droplets_absorb_is_the_light_that_crosses_them(device):
+    """Exact: absorbed are extinction x (1 - albedo) x (4 pi x mean radiance + direct sunlight).
+
+    Fluxes by other photons; within 4 standard errors, of under 1 %, and 0.5 % that points of direct sunlight miss."""
+    scene = Scene(GRID, Sun(zenith=40, azimuth=200), Cloud(0.8, HenyeyGreenstein(g=0.7)))
+    values = np.minimum(extinction(), 12).astype(np.float32)
+    operator = RadianceOperator(scene, VIEWS, device, mask=values > 0)
+    rendering = operator.render(values, 2, store_paths=True)
+    table = RadianceTable(operator)
+    table.prepare(rendering)
+    direct = table._sunlight.get() / 0.8  # of whole voxels
+    assert len(direct) == (values > 0).sum()
+    weight = values[values > 0] * 0.2 * np.prod(GRID.spacing) / np.prod(GRID.extent[:2])
+    diffuse = [np.sum(weight * 4 * np.pi * light(operator, values, 20_000, stream)) for stream in range(12)]
+    fluxes = FluxOperator(scene, device).compute(values, 500_000, seed=1).domain_mean("absorbed")
+    error = np.hypot(np.std(diffuse, ddof=1) / np.sqrt(12), fluxes.standard_error)
+    found = np.mean(diffuse) + np.sum(weight * direct)
+    assert abs(found - fluxes.value) < 4 * error + 0.005 * fluxes.value and error < 0.01 * fluxes.value

@@ -29,20 +29,6 @@ def test_there_are_no_more_cells_than_allowed():
     assert voxels < len(Cells.of(np.full(voxels, 1e4), SPACING, 0.85)) <= most_cells(voxels)
 
 
-def test_amounts_are_kept_when_voxels_are_divided_anew(cells, random):
-    amounts = random.random((len(cells), 3))
-    other = Cells.of(EXTINCTION[::-1], SPACING, asymmetry=0.85)
-    np.testing.assert_allclose(other.summed(cells.changed(amounts, other)), cells.summed(amounts))
-
-
-def test_what_is_divided_as_before_stays(cells, random):
-    amounts = random.random((len(cells), 3))
-    other = Cells(np.where(np.arange(5)[:, None] == 2, 1, cells.parts))
-    changed = other.changed(cells.changed(amounts, other), cells)
-    kept = cells.voxel != 2
-    np.testing.assert_array_equal(changed[kept], amounts[kept])
-
-
 def test_cells_are_numbered_voxel_by_voxel(cells):
     assert (cells.places[:, 0] == np.flatnonzero(np.diff(cells.voxel, prepend=-1))).all()
     assert cells.counts.sum() == len(cells) == len(cells.voxel)

@@ -14,6 +14,7 @@ from cloudtomo_cl.inversion.objective import AveragedImage
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.solvers.blas import with_one_blas_thread
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
+from cloudtomo_cl.inversion.solvers.state import not_saved
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.device import Device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
@@ -38,7 +39,7 @@ class DescentState:
     first_moment, second_moment : of the gradient; Adam's only
     steps : done so far
     image : the averaged modelled image
-    table : the radiance table that gradients are taken by; none with replay
+    table : the radiance table that gradients are taken by; none with replay. It keeps nothing
     """
 
     extinction: np.ndarray
@@ -48,7 +49,7 @@ class DescentState:
     second_moment: np.ndarray
     steps: int
     image: AveragedImage
-    table: RadianceTable | None
+    table: RadianceTable | None = not_saved(default=None)
 
 
 @answering

@@ -24,13 +24,11 @@ def of_any_length(**options: Any) -> Any:
 
 
 def arrays_of(state: Any, prefix: str = "") -> dict[str, np.ndarray]:
-    """The fields of a state as arrays on the host: "name", or "name.inner" of what has fields or arrays itself."""
+    """The fields of a state as arrays on the host: "name", or "name.inner" of what has fields itself."""
     arrays: dict[str, np.ndarray] = {}
     for name, value in _saved(state):
         if is_dataclass(value):
             arrays |= arrays_of(value, f"{prefix}{name}.")
-        elif hasattr(value, "arrays"):
-            arrays |= {f"{prefix}{name}.{inner}": array for inner, array in value.arrays().items()}
         else:
             arrays[prefix + name] = np.array(value)
     return arrays
@@ -60,11 +58,6 @@ def _restored(state: Any, arrays: Mapping[str, np.ndarray], prefix: str) -> Any:
     for name, value in _saved(state):
         if is_dataclass(value):
             changes[name] = _restored(value, arrays, f"{prefix}{name}.")
-        elif hasattr(value, "arrays"):
-            own = {inner: arrays[f"{prefix}{name}.{inner}"] for inner in value.arrays()}
-            for inner, array in value.arrays().items():
-                _check(f"{prefix}{name}.{inner}", own[inner], array)
-            value.restore(own)
         else:
             free = bool(_field(state, name).metadata.get("any_length"))
             array = _check(prefix + name, arrays[prefix + name], np.array(value), free)
