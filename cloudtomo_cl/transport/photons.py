@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.opencl.arrays import DeviceArray
-from cloudtomo_cl.opencl.device import Pace
 from cloudtomo_cl.opencl.layout import TABLE_UNIT, sun_view_struct
+from cloudtomo_cl.opencl.pace import Pace
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.transport.medium import FilledMedium
 from cloudtomo_cl.transport.radiance import RadianceOperator
