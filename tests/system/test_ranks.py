@@ -19,7 +19,7 @@ from cloudtomo_cl.opencl.several import on_devices
 
 NAMES = (
     "rendering", "replay gradient", "adaptive rendering", "fewer pixels than ranks", "fluxes", "table gradient 0",
-    "table gradient 1", "state of the table", "products", "transposed products", "curvature", "Gauss-Newton", "Adam",
+    "table gradient 1", "table", "products", "transposed products", "curvature", "Gauss-Newton", "Adam",
     "Adam by replay",
 )  # fmt: skip
 # Beginning of what ranks run; the rest has `device`.
