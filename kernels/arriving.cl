@@ -2,26 +2,12 @@
  * table that start where it enters (photons.cl) stand for. */
 #include "box.h"
 #include "walk/camera.h"
-#include "walk/estimate.h"
 
 typedef struct {
     float radiance, own_share; /* of walk/radiance.h */
 } Tally;
 
-inline Flight tally_fly(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)
-{
-    return fly(medium, ray, segment->optical_depth);
-}
-
-inline void tally_segment(const Medium *medium, const Segment *segment, const Flight *flight, Particle end, float share,
-                          float local_radiance, Tally *tally)
-{
-}
-
-inline void tally_side_flight(const Medium *medium, const Segment *segment, const Flight *flight, Particle end,
-                              float share, float local_radiance, Tally *tally)
-{
-}
+#include "walk/untallied.h"
 
 inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalEstimate *estimate, Tally *tally) {}
 

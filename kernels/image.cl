@@ -9,22 +9,7 @@ typedef struct {
     BudgetSums sums; /* of all paths' budgets */
 } Tally;
 
-#include "walk/estimate.h"
-
-inline Flight tally_fly(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)
-{
-    return fly(medium, ray, segment->optical_depth);
-}
-
-inline void tally_segment(const Medium *medium, const Segment *segment, const Flight *flight, Particle end, float share,
-                          float local_radiance, Tally *tally)
-{
-}
-
-inline void tally_side_flight(const Medium *medium, const Segment *segment, const Flight *flight, Particle end,
-                              float share, float local_radiance, Tally *tally)
-{
-}
+#include "walk/untallied.h"
 
 inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalEstimate *estimate, Tally *tally)
 {

@@ -73,7 +73,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "*/transport/*": (KERNELS + "field", KERNELS + "finite_differences", KERNELS + "tallies", SYSTEM + "problem"),
     "*/inversion/carving.py": (UNIT + "carve", SYSTEM + "carving"),
     "*/inversion/checkpoint.py": (UNIT + "checkpoint", SYSTEM + "resume"),
-    "*/inversion/solvers/conjugate_gradients.py": (UNIT + "conjugate_gradients", UNIT + "uncertainty"),
+    "*/inversion/conjugate_gradients.py": (UNIT + "conjugate_gradients", UNIT + "uncertainty"),
     "*/inversion/terms.py": (UNIT + "conjugate_gradients", UNIT + "uncertainty"),
     "*/inversion/vectors.py": (UNIT + "conjugate_gradients",),
     "*/inversion/data_term.py": (UNIT + "data_term",),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear, minimize
 
-from cloudtomo_cl.inversion.solvers.conjugate_gradients import minimised
+from cloudtomo_cl.inversion.conjugate_gradients import minimised
 from cloudtomo_cl.inversion.terms import Around, HostTerm, term_of
 from cloudtomo_cl.inversion.vectors import PARTS, Vectors, sum_of
 

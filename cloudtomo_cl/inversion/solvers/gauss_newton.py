@@ -12,6 +12,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.inversion.bound_prior import FrozenPrior
+from cloudtomo_cl.inversion.conjugate_gradients import minimised
 from cloudtomo_cl.inversion.data_term import DataTerm, Force
 from cloudtomo_cl.inversion.jacobian_average import JacobianAverage
 from cloudtomo_cl.inversion.mass import give_back, is_due, returned_share
@@ -21,7 +22,6 @@ from cloudtomo_cl.inversion.patch_operator import stencil_footprint
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
 from cloudtomo_cl.inversion.solvers.blas import with_one_blas_thread
-from cloudtomo_cl.inversion.solvers.conjugate_gradients import minimised
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
 from cloudtomo_cl.inversion.solvers.state import not_saved, of_any_length
 from cloudtomo_cl.inversion.terms import stiffness_of, term_of
