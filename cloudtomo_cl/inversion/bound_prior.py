@@ -63,12 +63,15 @@ class DevicePrior(FrozenPrior, Protocol):
 
 
 class BoundPrior(Protocol):
-    """A prior for the voxels of one stage."""
+    """A prior for the voxels of one stage. One that `chooses` by the extinction what it is has many minima."""
 
     def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
         """Of a function of the extinction alone. In the unit of the data term; arrays of shape (voxels,), float64."""
         ...
 
-    def frozen(self, extinction: np.ndarray, iteration: int) -> FrozenPrior:
-        """For a step from this extinction, the stage's iteration counted from 0."""
+    def frozen(self, extinction: np.ndarray, gentle: bool = False) -> FrozenPrior:
+        """For a step from this extinction.
+
+        gentle : no stiffer than steps along a gradient stand
+        """
         ...

@@ -47,9 +47,14 @@ class RelativePrior:
         along = float(slope @ extinction) / factor / mean
         return value, slope / factor - along * (2 * extinction - mean) / total
 
-    def frozen(self, extinction: np.ndarray, iteration: int) -> FrozenPrior:
+    def frozen(self, extinction: np.ndarray, gentle: bool = False) -> FrozenPrior:
         factor = self._factor(extinction)
-        return ScaledPrior(self.inner.frozen(extinction / factor, iteration), factor)
+        return ScaledPrior(self.inner.frozen(extinction / factor, gentle), factor)
+
+    @property
+    def chooses(self) -> bool:
+        """See `BoundPrior`."""
+        return getattr(self.inner, "chooses", False)
 
     def _factor(self, extinction: np.ndarray) -> float:
         return mean_extinction(extinction) / self.reference or 1.0

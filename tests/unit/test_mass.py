@@ -94,7 +94,7 @@ def test_recoveries_of_other_simulated_images_keep_the_mass(voxels, cloud, devic
 
     The fifth is for the few draws that the share was found by.
     """
-    prior = bound_prior(PatchPrior(), voxels, device).frozen(cloud, 9)
+    prior = bound_prior(PatchPrior(), voxels, device).frozen(cloud)
     model = modelled(prior)
     share = returned_share(model, np.random.default_rng(3))
     noise = [model.slope_of_noise(random) for _ in range(DRAWS)]
@@ -111,7 +111,7 @@ def test_recoveries_of_other_simulated_images_keep_the_mass(voxels, cloud, devic
 
 def test_smoothness_gives_nothing_back(voxels, cloud, device, modelled):
     for prior in (Prior(), Prior(reference=46.0)):
-        frozen = bound_prior(prior, voxels, device).frozen(cloud, 9)
+        frozen = bound_prior(prior, voxels, device).frozen(cloud)
         assert returned_share(modelled(frozen), np.random.default_rng(3)) == 0
 
 

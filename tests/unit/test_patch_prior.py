@@ -94,7 +94,7 @@ def difference_quotient(function, x, direction, step):
 @pytest.mark.parametrize("of", ["function", "step"])
 def test_the_gradient_is_that_of_the_value(voxels, bound, cloud, random, of):
     prior = RelativePrior(bound, 1.0)
-    used = prior if of == "function" else prior.frozen(cloud, 3)
+    used = prior if of == "function" else prior.frozen(cloud)
     direction = random.random(len(voxels))
     quotient = difference_quotient(lambda x: used.value_and_gradient(x, UNITS), cloud, direction, 1e-2)
     assert used.value_and_gradient(cloud, UNITS)[1] @ direction == pytest.approx(quotient, rel=2e-3)
@@ -104,7 +104,7 @@ def test_a_step_begins_at_a_share_of_the_functions_value_when_the_noise_has_fall
     """No patch of this cloud is clear."""
     prior = RelativePrior(bound, 1.0)
     share = voxels_of_cloud(cloud) / (voxels_of_cloud(cloud) + 200)
-    assert prior.frozen(cloud, 99).value_and_gradient(cloud, UNITS)[0] == pytest.approx(
+    assert prior.frozen(cloud).value_and_gradient(cloud, UNITS)[0] == pytest.approx(
         share * prior.value_and_gradient(cloud, UNITS)[0]
     )
 
@@ -115,7 +115,7 @@ def test_clear_patches_of_a_cloud_of_few_voxels_count_in_full(random, device):
     cloud, far = np.zeros((2, 9, 9, 9))
     cloud[:2, :2, :2], far[6, 6, 6] = 1.0, 1.0
     operator = PatchOperator(Patches(voxels, SIZE), mixture_of(random), device)
-    step = BoundPatches(operator, STRENGTH, NOISE).frozen(cloud.ravel(), 99)
+    step = BoundPatches(operator, STRENGTH, NOISE).frozen(cloud.ravel())
     expected = UNITS.weighted * 1.3 / (0.02**2 + 0.05**2)
     assert step.stiffness(far.reshape(-1, 1), UNITS)[:, 0] == pytest.approx(expected * far.ravel())
 
@@ -126,7 +126,7 @@ def test_a_cloud_of_equal_voxels_has_as_many():
 
 
 def test_the_steps_stiffness_is_the_second_derivative_of_its_value(voxels, bound, cloud, random):
-    step = RelativePrior(bound, 1.0).frozen(cloud, 2)
+    step = RelativePrior(bound, 1.0).frozen(cloud)
     direction = random.random(len(voxels))
     change = step.value_and_gradient(cloud + direction, UNITS)[1] - step.value_and_gradient(cloud, UNITS)[1]
     np.testing.assert_allclose(step.stiffness(direction[:, None], UNITS)[:, 0], change, rtol=1e-3, atol=1e-5)
@@ -134,7 +134,7 @@ def test_the_steps_stiffness_is_the_second_derivative_of_its_value(voxels, bound
 
 def test_perturbations_have_the_stiffness_as_covariance(voxels, bound, cloud):
     """Along one direction, of 2000 draws: the ratio of variances has a standard error of sqrt(2/2000), 3 %."""
-    step = RelativePrior(bound, 1.0).frozen(cloud, 2)
+    step = RelativePrior(bound, 1.0).frozen(cloud)
     random = np.random.default_rng(3)
     direction = random.random(len(voxels))
     draws = [step.perturbation(random, UNITS) @ direction for _ in range(2000)]
@@ -159,7 +159,7 @@ def test_a_cloud_and_a_brighter_one_of_its_shape_are_as_likely(voxels, cloud, de
 )
 def test_a_step_from_a_brighter_cloud_of_the_same_shape_is_as_stiff_for_its_brightness(voxels, cloud, device, prior):
     own, change = bound_prior(prior, voxels, device), np.ones((len(voxels), 1))
-    stiffness, scaled = (own.frozen(by * cloud, 5).stiffness(change, UNITS) for by in (1.0, 5.0))
+    stiffness, scaled = (own.frozen(by * cloud).stiffness(change, UNITS) for by in (1.0, 5.0))
     np.testing.assert_allclose(25 * scaled, stiffness, rtol=1e-3, atol=1e-4 * np.abs(stiffness).max())
 
 
@@ -226,7 +226,7 @@ def test_what_was_chosen_before_changes_nothing(voxels, mixture, cloud, device, 
 
 @pytest.mark.parametrize("scale", [1.0, 0.25])
 def test_a_steps_term_has_its_gradient_and_its_second_derivative(voxels, bound, cloud, device, random, scale):
-    step = bound.frozen(cloud / 20, 2)
+    step = bound.frozen(cloud / 20)
     term, vectors = step.term(UNITS, scale), Vectors(device, len(voxels))
     gradient, product, direction = vectors.zeros(), vectors.zeros(), random.random(len(voxels))
     term.add_gradient(vectors.of(cloud / 20 / scale), gradient)

@@ -11,8 +11,8 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.inversion.annealing import InnerProblem, annealed, rescaled
 from cloudtomo_cl.inversion.bound_prior import FrozenPrior
-from cloudtomo_cl.inversion.conjugate_gradients import minimised
 from cloudtomo_cl.inversion.data_term import DataTerm, Force
 from cloudtomo_cl.inversion.jacobian_average import JacobianAverage
 from cloudtomo_cl.inversion.mass import give_back, is_due, returned_share
@@ -20,11 +20,10 @@ from cloudtomo_cl.inversion.noisy_model import NoisyModel
 from cloudtomo_cl.inversion.objective import cost_of_independent, noise_of
 from cloudtomo_cl.inversion.patch_operator import stencil_footprint
 from cloudtomo_cl.inversion.problem import Problem
-from cloudtomo_cl.inversion.relative_prior import mean_extinction
 from cloudtomo_cl.inversion.solvers.blas import with_one_blas_thread
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
 from cloudtomo_cl.inversion.solvers.state import not_saved, of_any_length
-from cloudtomo_cl.inversion.terms import stiffness_of, term_of
+from cloudtomo_cl.inversion.terms import stiffness_of
 from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, WIDENED, standard_errors
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.memory import Footprint
@@ -37,8 +36,6 @@ from cloudtomo_cl.transport.radiance import Rendering, pooled
 _LOGGER = logging.getLogger(__name__)
 # Share of a predicted change of a pixel that is taken for the prediction's error.
 _TANGENT_ERROR = 0.1
-# How often a step is minimised again because the cloud's mean extinction has changed, by more than this share.
-_RESCALINGS, _SETTLED_SCALE = 4, 0.1
 
 
 @plain_dataclass(frozen=True, eq=False)
@@ -186,27 +183,17 @@ class GaussNewton:
         data = DataTerm(jacobian, force, misfit, state.extinction, damping * curvature)
         units = problem.units(state.modelled_noise(problem))
 
-        def least(begin: np.ndarray, prior: FrozenPrior) -> np.ndarray:
-            stiff = curvature * (1 + damping) + prior.curvature(begin, units) + LEAST_CURVATURE * curvature.mean()
-            return minimised([data, term_of(prior, units, device)], begin, stiff, self.inner_iterations, device)
-
-        prior = problem.prior.frozen(state.extinction, state.iterations - 1)
+        stiffness = curvature * (1 + damping) + LEAST_CURVATURE * curvature.mean()
+        prior = problem.prior.frozen(state.extinction)
         if is_due(state.iterations):
             model = _noisy_model(problem, state, jacobian, prior, state.extinction)
             state = replace(state, returned=returned_share(model, np.random.default_rng([seed, stream])))
         give_back(prior, state.extinction, state.returned)
         value, _ = prior.value_and_gradient(state.extinction, units)
-        extinction = least(state.extinction, prior)
-        scale = mean_extinction(state.extinction)
-        for _ in range(_RESCALINGS):
-            # A prior that measures a cloud by its own extinction has the start's: that may be far from this cloud's.
-            before, scale = scale, mean_extinction(extinction)
-            if abs(scale - before) <= _SETTLED_SCALE * before:
-                break
-            del prior  # it may be large
-            prior = problem.prior.frozen(extinction, state.iterations - 1)
-            give_back(prior, extinction, state.returned)
-            extinction = least(extinction, prior)
+        del prior  # it may be large
+        found = annealed if getattr(problem.prior, "chooses", False) else rescaled
+        inner = InnerProblem(problem, data, stiffness, units, state.returned, self.inner_iterations)
+        extinction = found(inner, state.extinction)
         predicted = jacobian @ (extinction - state.extinction)
         motions = calibration.motions(misfit + predicted, state.image)
         predicted = predicted + calibration.change(motions - state.motions)
@@ -223,7 +210,7 @@ class GaussNewton:
         if not state.iterations or not problem.active.standard_error.any():
             return None
         jacobian = _derivatives_of(problem, state, seed).jacobian
-        prior = problem.prior.frozen(state.estimate, state.iterations)
+        prior = problem.prior.frozen(state.estimate)
         give_back(prior, state.estimate, state.returned)
         return WIDENED * standard_errors(_noisy_model(problem, state, jacobian, prior, state.estimate), draws, seed)
 

@@ -1,0 +1,83 @@
+"""The minimum of a step, where the prior has many: from a weak prior to its full weight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cloudtomo_cl.inversion.bound_prior import NoiseUnits
+from cloudtomo_cl.inversion.conjugate_gradients import minimised
+from cloudtomo_cl.inversion.data_term import DataTerm
+from cloudtomo_cl.inversion.mass import give_back
+from cloudtomo_cl.inversion.problem import Problem
+from cloudtomo_cl.inversion.relative_prior import mean_extinction
+from cloudtomo_cl.inversion.terms import term_of
+
+# Shares of its weight that a prior which chooses is minimised with, one after the other (docs/decisions/patch-prior.md).
+_SHARES = (0.03, 0.06, 0.12, 0.24, 0.48, 1.0, 1.0)
+# Of the iterations of a minimisation, the share of one of these.
+_EACH = 0.5
+# How often a step is minimised again because the cloud's mean extinction has changed, by more than this share.
+_RESCALINGS, _SETTLED_SCALE = 4, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class InnerProblem:
+    """What a step minimises: a quadratic data term, and the prior as it stands at some extinction.
+
+    Attributes
+    ----------
+    problem : whose prior and device
+    data : the data term, with the step's damping
+    stiffness : about the diagonal of its second derivative, positive, shape (voxels,)
+    units : what the prior is multiplied with
+    returned : share of the prior's pull on the mass that is taken back (`mass`)
+    iterations : of conjugate gradients, at most
+    """
+
+    problem: Problem
+    data: DataTerm
+    stiffness: np.ndarray
+    units: NoiseUnits
+    returned: float
+    iterations: int
+
+    def least(self, begin: np.ndarray, share: float = 1.0, of_iterations: float = 1.0) -> np.ndarray:
+        """The minimum, begun where the prior is chosen, with a share of its weight and of the iterations."""
+        device, prior = self.problem.operator.device, self.problem.prior.frozen(begin)
+        give_back(prior, begin, self.returned)
+        units = replace(self.units, weight=share * self.units.weight)
+        stiffness = self.stiffness + prior.curvature(begin, units)
+        iterations = max(1, round(of_iterations * self.iterations))
+        return minimised([self.data, term_of(prior, units, device)], begin, stiffness, iterations, device)
+
+
+def annealed(inner: InnerProblem, start: np.ndarray) -> np.ndarray:
+    """With a prior that chooses by the extinction what it is: from above.
+
+    Begun at the last minimum, such a prior chooses what makes that likelier still, and every choice makes the cloud
+    smoother. So each step begins anew, at a cloud without shape, with a weak prior, whose choice the images decide;
+    and its weight rises to 1 while it chooses again and again (deterministic annealing: Rose 1998; a rising coupling
+    does the same in Zoran and Weiss 2011).
+
+    start : km^-1, shape (voxels,), of which the mean counts
+    """
+    extinction = np.full_like(start, start.mean())
+    for share in _SHARES:
+        extinction = inner.least(extinction, share, _EACH)
+    return extinction
+
+
+def rescaled(inner: InnerProblem, start: np.ndarray) -> np.ndarray:
+    """With any other prior. One that measures a cloud by its own extinction has the start's: that may be far from it.
+
+    start : km^-1, shape (voxels,)
+    """
+    scale, extinction = mean_extinction(start), inner.least(start)
+    for _ in range(_RESCALINGS):
+        before, scale = scale, mean_extinction(extinction)
+        if abs(scale - before) <= _SETTLED_SCALE * before:
+            break
+        extinction = inner.least(extinction)
+    return extinction
