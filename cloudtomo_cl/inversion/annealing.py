@@ -14,7 +14,7 @@ from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
 from cloudtomo_cl.inversion.terms import term_of
 
-# Shares of its weight that a prior which chooses is minimised with, one after the other (docs/decisions/patch-prior.md).
+# Shares of the weight of a prior that chooses, one minimised with after the other (docs/decisions/patch-prior.md).
 _SHARES = (0.03, 0.06, 0.12, 0.24, 0.48, 1.0, 1.0)
 # Of the iterations of a minimisation, the share of one of these.
 _EACH = 0.5
