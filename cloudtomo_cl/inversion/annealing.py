@@ -34,6 +34,7 @@ class InnerProblem:
     units : what the prior is multiplied with
     returned : share of the prior's pull on the mass that is taken back (`mass`)
     iterations : of conjugate gradients, at most
+    iteration : of the stage, counted from 0
     """
 
     problem: Problem
@@ -42,10 +43,11 @@ class InnerProblem:
     units: NoiseUnits
     returned: float
     iterations: int
+    iteration: int | None = None
 
     def least(self, begin: np.ndarray, share: float = 1.0, of_iterations: float = 1.0) -> np.ndarray:
         """The minimum, begun where the prior is chosen, with a share of its weight and of the iterations."""
-        device, prior = self.problem.operator.device, self.problem.prior.frozen(begin)
+        device, prior = self.problem.operator.device, self.problem.prior.frozen(begin, self.iteration)
         give_back(prior, begin, self.returned)
         units = replace(self.units, weight=share * self.units.weight)
         stiffness = self.stiffness + prior.curvature(begin, units)
@@ -70,7 +72,7 @@ def annealed(inner: InnerProblem, start: np.ndarray) -> np.ndarray:
 
 
 def rescaled(inner: InnerProblem, start: np.ndarray) -> np.ndarray:
-    """With any other prior. One that measures a cloud by its own extinction has the start's: that may be far from it.
+    """From the last minimum. A prior that measures a cloud by its own extinction has the start's: that may be far off.
 
     start : km^-1, shape (voxels,)
     """

@@ -69,9 +69,9 @@ class BoundPrior(Protocol):
         """Of a function of the extinction alone. In the unit of the data term; arrays of shape (voxels,), float64."""
         ...
 
-    def frozen(self, extinction: np.ndarray, gentle: bool = False) -> FrozenPrior:
+    def frozen(self, extinction: np.ndarray, iteration: int | None = None) -> FrozenPrior:
         """For a step from this extinction.
 
-        gentle : no stiffer than steps along a gradient stand
+        iteration : of the stage, counted from 0, if the prior is to be gentler in the first ones
         """
         ...

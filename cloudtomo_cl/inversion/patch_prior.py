@@ -12,8 +12,8 @@ from cloudtomo_cl.inversion.patch_operator import PatchOperator, PatchQuadratic
 from cloudtomo_cl.inversion.vectors import Vectors
 from cloudtomo_cl.opencl.arrays import DeviceArray
 
-# Noise at least, where steps go along a gradient.
-_GENTLE_NOISE = 0.2
+# Noise of a stage's first step, and how it falls from step to step.
+_FIRST_NOISE, _NOISE_SHARE = 0.2, 0.7
 # Share of the prior's pull on a cloud's mass that a step takes back where nobody finds it (`mass`), and the extinction,
 # in units of s, at which a voxel takes half of its part in that (docs/decisions/patch-prior.md).
 _RETURNED, _HALF_PRESENT = 0.3, 0.1
@@ -49,8 +49,8 @@ class BoundPatches:
         step = FrozenPatches(self._operator, self._weight, self._noise, extinction)
         return step.value_and_gradient(extinction, units)
 
-    def frozen(self, extinction: np.ndarray, gentle: bool = False) -> FrozenPatches:
-        """With the components that are the likeliest at this extinction.
+    def frozen(self, extinction: np.ndarray, iteration: int | None = None) -> FrozenPatches:
+        """With the components that are the likeliest at this extinction, and the noise of this iteration.
 
         Patches of a cloud of few voxels, as on the grids of the first stages, are rougher than those of most clouds
         that were learnt from: they count less. Patches without cloud are alike everywhere.
@@ -59,7 +59,7 @@ class BoundPatches:
         their means. A step takes a share of that pull on the cloud's mass back, by a constant slope where there is
         cloud.
         """
-        noise = max(_GENTLE_NOISE, self._noise) if gentle else self._noise
+        noise = self._noise if iteration is None else max(_FIRST_NOISE * _NOISE_SHARE**iteration, self._noise)
         count = voxels_of_cloud(extinction)
         share = count / (count + _FEW_VOXELS) if count else 1.0
         step = FrozenPatches(self._operator, self._weight, noise, extinction, share)

@@ -168,7 +168,7 @@ class _OwnPrior:
         curvature = np.asarray(of_own(extinction.copy(), self._voxels), float)
         return units.weighted * np.maximum(np.broadcast_to(curvature, len(self._voxels)), 0.0)
 
-    def frozen(self, extinction: np.ndarray, gentle: bool = False) -> FrozenPrior:
+    def frozen(self, extinction: np.ndarray, iteration: int | None = None) -> FrozenPrior:
         return self
 
     def stiffness(self, columns: np.ndarray, units: NoiseUnits) -> np.ndarray:
@@ -195,7 +195,7 @@ class BoundSmoothness:
         of_sparsity = units.measured * (prior.sparsity / prior.sparsity_scale**2)
         return units.weighted * prior.smoothness * SMOOTHNESS_CURVATURE + of_sparsity
 
-    def frozen(self, extinction: np.ndarray, gentle: bool = False) -> FrozenPrior:
+    def frozen(self, extinction: np.ndarray, iteration: int | None = None) -> FrozenPrior:
         return self
 
     def stiffness(self, columns: np.ndarray, units: NoiseUnits) -> np.ndarray:

@@ -47,9 +47,9 @@ class RelativePrior:
         along = float(slope @ extinction) / factor / mean
         return value, slope / factor - along * (2 * extinction - mean) / total
 
-    def frozen(self, extinction: np.ndarray, gentle: bool = False) -> FrozenPrior:
+    def frozen(self, extinction: np.ndarray, iteration: int | None = None) -> FrozenPrior:
         factor = self._factor(extinction)
-        return ScaledPrior(self.inner.frozen(extinction / factor, gentle), factor)
+        return ScaledPrior(self.inner.frozen(extinction / factor, iteration), factor)
 
     @property
     def chooses(self) -> bool:

@@ -126,7 +126,7 @@ class _Descent:
         if change is not None:
             image = image.moved(change, window)
         # As in the first step of a stage: a prior that is known more sharply is too stiff for steps along a gradient.
-        prior, prior_gradient = problem.prior.frozen(state.extinction, gentle=True).value_and_gradient(
+        prior, prior_gradient = problem.prior.frozen(state.extinction, 0).value_and_gradient(
             state.extinction, problem.units(image.noise(problem.weights))
         )
         gradient = gradient + prior_gradient.astype(np.float32)

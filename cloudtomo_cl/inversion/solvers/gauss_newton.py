@@ -34,6 +34,8 @@ from cloudtomo_cl.transport.jacobian import Jacobian, jacobian_footprint
 from cloudtomo_cl.transport.radiance import Rendering, pooled
 
 _LOGGER = logging.getLogger(__name__)
+# Misfit, in that of noise alone, from which on derivatives are taken at their word: a step may then begin anew.
+_FITTING = 2.5
 # Share of a predicted change of a pixel that is taken for the prediction's error.
 _TANGENT_ERROR = 0.1
 
@@ -183,17 +185,19 @@ class GaussNewton:
         data = DataTerm(jacobian, force, misfit, state.extinction, damping * curvature)
         units = problem.units(state.modelled_noise(problem))
 
-        stiffness = curvature * (1 + damping) + LEAST_CURVATURE * curvature.mean()
-        prior = problem.prior.frozen(state.extinction)
+        fits = float(np.mean(weights * misfit**2)) <= _FITTING * units.both
+        anew = fits and getattr(problem.prior, "chooses", False)
+        iteration = None if anew else state.iterations - 1
+        prior = problem.prior.frozen(state.extinction, iteration)
         if is_due(state.iterations):
             model = _noisy_model(problem, state, jacobian, prior, state.extinction)
             state = replace(state, returned=returned_share(model, np.random.default_rng([seed, stream])))
         give_back(prior, state.extinction, state.returned)
         value, _ = prior.value_and_gradient(state.extinction, units)
         del prior  # it may be large
-        found = annealed if getattr(problem.prior, "chooses", False) else rescaled
-        inner = InnerProblem(problem, data, stiffness, units, state.returned, self.inner_iterations)
-        extinction = found(inner, state.extinction)
+        stiffness = curvature * (1 + damping) + LEAST_CURVATURE * curvature.mean()
+        inner = InnerProblem(problem, data, stiffness, units, state.returned, self.inner_iterations, iteration)
+        extinction = annealed(inner, state.extinction) if anew else rescaled(inner, state.extinction)
         predicted = jacobian @ (extinction - state.extinction)
         motions = calibration.motions(misfit + predicted, state.image)
         predicted = predicted + calibration.change(motions - state.motions)
