@@ -36,6 +36,8 @@ from cloudtomo_cl.transport.radiance import Rendering, pooled
 _LOGGER = logging.getLogger(__name__)
 # Misfit, in that of noise alone, from which on derivatives are taken at their word: a step may then begin anew.
 _FITTING = 2.5
+# Of the iterations, over which the estimate is the mean: a longer one is behind (docs/decisions/patch-prior.md).
+_LAST_QUARTER = 4
 # Share of a predicted change of a pixel that is taken for the prediction's error.
 _TANGENT_ERROR = 0.1
 
@@ -46,8 +48,8 @@ class GaussNewtonState:
 
     The images of all iterations are kept as one: their mean is carried along with the extinction by the derivatives,
     and every iteration's own paths are averaged into it, so that noise falls while the steps get smaller. Derivatives
-    and estimate are tail averages, over the later half of the iterations: noise of the derivatives alone would let
-    them fit noise of the images.
+    are a tail average, over the later half of the iterations: noise of the derivatives alone would let them fit noise
+    of the images. The estimate is one over the last quarter.
 
     Attributes
     ----------
@@ -150,7 +152,7 @@ class GaussNewton:
             derivatives=derivatives,
         )
         prior, state = self._minimised(problem, state, seed, stream)
-        rate = tail_rate(state.iterations - 1)
+        rate = tail_rate(state.iterations - 1, _LAST_QUARTER)
         estimate = state.estimate + (state.extinction - state.estimate) * rate
         paths = rendering.samples * len(problem.active)
         return replace(state, estimate=estimate), Progress(cost, error, prior, paths)
@@ -219,9 +221,9 @@ class GaussNewton:
         return WIDENED * standard_errors(_noisy_model(problem, state, jacobian, prior, state.estimate), draws, seed)
 
 
-def tail_rate(iteration: int) -> float:
-    """Share of an iteration, counted from 0, in a mean over about the later half of them."""
-    return 1 / (1 + iteration // 2)
+def tail_rate(iteration: int, part: int = 2) -> float:
+    """Share of an iteration, counted from 0, in a mean over about the later half of them, or another last part."""
+    return 1 / (1 + iteration // part)
 
 
 def _derivatives_of(problem: Problem, state: GaussNewtonState, seed: int) -> JacobianAverage:
