@@ -38,7 +38,8 @@ class Part:
     on_cpu: bool = False
 
 
-# An H200 took 85 s for the first six and 80 for the tests, kernels built before; building them takes longest. A rehearsal's are for a machine that does other things besides.
+# An H200 whose kernels were built took 85 s for all but the tests (80 s) and the CPU's speed. A rehearsal's are for a
+# machine that does other things besides.
 PARTS = {
     "device": Part("gpu.described", 15, 60),
     "bits": Part("gpu.compared", 120, 120),
