@@ -82,7 +82,7 @@ __kernel void direct_sunlight(DIRECT_SUNLIGHT_PARAMETERS)
         ray.direction = sun_direction(scene);
         ray.voxel = at;
         ray.inside = true;
-        sum += exp(-fly(&medium, &ray, INFINITY).depth);
+        sum += exponential(-fly(&medium, &ray, INFINITY).depth);
     }
     sunlight[cell] = 0.125f * sum;
 }

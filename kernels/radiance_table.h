@@ -18,8 +18,7 @@ inline int direction_bin(float3 direction)
     int ring = 0;
     while (ring < DIRECTION_RINGS - 1 && direction.z < ring_cosine[ring + 1])
         ++ring;
-    float turn = atan2(direction.y, direction.x) * (0.5f * ONE_OVER_PI);
-    turn -= floor(turn);
+    const float turn = turn_of(direction.x, direction.y);
     return ring_first[ring] + min((int)(turn * (float)ring_azimuths[ring]), ring_azimuths[ring] - 1);
 }
 

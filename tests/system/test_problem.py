@@ -221,6 +221,15 @@ def test_an_own_solver_goes_on_from_a_checkpoint(scene, measurements, device, tr
     np.testing.assert_array_equal(resumed.extinction, whole.extinction)
 
 
+@pytest.mark.parametrize(("paths", "samples", "expected"), [(1.0, None, 1), (2.5, None, 2.5), (2.5, 8, None)])
+def test_paths_are_those_by_default_times_a_factor(problem, paths, samples, expected):
+    """And those of a stage, where it says how many."""
+    problem, solver = replace(problem, samples=samples), ct.GaussNewton(paths=paths, image_samples=1)
+    _, progress = solver.step(problem, solver.init(problem, np.full(len(problem.voxels), 5.0)), seed=2, stream=1)
+    of_derivatives = samples or 2 * round(expected * problem.default_samples / 2)
+    assert progress.paths == 2 * of_derivatives * len(problem.pixels)
+
+
 def test_old_names_are_answered_with_the_new(scene, measurements, device):
     with pytest.raises(DataError, match="the argument optimizer is now solver: a GaussNewton, Adam or SGD"):
         recover(scene, measurements, device, optimizer=None)

@@ -36,10 +36,10 @@ from cloudtomo_cl.transport.radiance import Rendering, pooled
 _LOGGER = logging.getLogger(__name__)
 # Misfit, in that of noise alone, from which on derivatives are taken at their word: a step may then begin anew.
 _FITTING = 2.5
-# Of the iterations, over which the estimate is the mean: a longer one is behind (docs/decisions/patch-prior.md).
-_LAST_QUARTER = 4
 # Share of a predicted change of a pixel that is taken for the prediction's error.
 _TANGENT_ERROR = 0.1
+# Paths of an iteration, times those by default, at most.
+_MOST_PATHS = 1000
 
 
 @plain_dataclass(frozen=True, eq=False)
@@ -48,12 +48,12 @@ class GaussNewtonState:
 
     The images of all iterations are kept as one: their mean is carried along with the extinction by the derivatives,
     and every iteration's own paths are averaged into it, so that noise falls while the steps get smaller. Derivatives
-    are a tail average, over the later half of the iterations: noise of the derivatives alone would let them fit noise
-    of the images. The estimate is one over the last quarter.
+    are a tail average, over the later half of the iterations: their noise alone would let them fit noise of the images.
+    So the extinction is made of many iterations' paths, and is the estimate.
 
     Attributes
     ----------
-    extinction, estimate : km^-1, shape (voxels,)
+    extinction : km^-1, shape (voxels,)
     image, variance : of the averaged modelled image, W m^-2 sr^-1 and its square, shape (pixels,)
     lag : `noise_of` the errors of the last step's prediction
     iterations : done so far
@@ -65,7 +65,6 @@ class GaussNewtonState:
     """
 
     extinction: np.ndarray
-    estimate: np.ndarray
     image: np.ndarray
     variance: np.ndarray
     lag: float
@@ -76,6 +75,11 @@ class GaussNewtonState:
     walked: np.ndarray = of_any_length()
     turned: np.ndarray = of_any_length()
     derivatives: JacobianAverage | None = not_saved(default=None)
+
+    @property
+    def estimate(self) -> np.ndarray:
+        """What is recovered: the extinction."""
+        return self.extinction
 
     def modelled_noise(self, problem: Problem) -> float:
         """What noise and error of the modelled image add to the data term."""
@@ -96,6 +100,8 @@ class GaussNewton:
         more by `--resume`, unless its cost has settled
     start : extinction inside the mask before the first stage, km^-1; by default an optical depth of 1 along a mean
         chord of the box around the mask
+    paths : of an iteration, times those by default (90 for the derivatives for each voxel that may hold cloud): with
+        more of them noise is less, and the minimum that is found better; in stages without `samples` of their own
     image_samples : paths for the images, times those for the derivatives
     damping : of the first steps, in shares of the data term's own curvature; it halves from step to step, down to
         a tenth
@@ -105,6 +111,7 @@ class GaussNewton:
     type: Literal["gauss-newton"] = "gauss-newton"
     iterations: Count | None = None
     start: Positive | None = None
+    paths: Annotated[float, Field(gt=0, le=_MOST_PATHS)] = 1.0
     image_samples: Annotated[int, Field(ge=0)] = 5
     damping: NotNegative = 0.1
     inner_iterations: Count = 40
@@ -126,7 +133,7 @@ class GaussNewton:
         if problem.motions is not None:
             motions = problem.motions
         streams, turned = np.zeros(0, np.int64), np.zeros((0, *motions.shape))
-        return GaussNewtonState(start, start, nothing, nothing, 0.0, 0, 0.0, motions, streams, none, turned)
+        return GaussNewtonState(start, nothing, nothing, 0.0, 0, 0.0, motions, streams, none, turned)
 
     @with_one_blas_thread
     def step(
@@ -138,6 +145,7 @@ class GaussNewton:
         ------
         TransportError : a derivative is not finite
         """
+        problem = self._sampled(problem)
         derivatives = _derivatives_of(problem, state, seed)
         seen = problem.with_motions(state.motions)
         walked = derivatives.add(seen, state.extinction, seed, stream)
@@ -152,10 +160,12 @@ class GaussNewton:
             derivatives=derivatives,
         )
         prior, state = self._minimised(problem, state, seed, stream)
-        rate = tail_rate(state.iterations - 1, _LAST_QUARTER)
-        estimate = state.estimate + (state.extinction - state.estimate) * rate
-        paths = rendering.samples * len(problem.active)
-        return replace(state, estimate=estimate), Progress(cost, error, prior, paths)
+        return state, Progress(cost, error, prior, rendering.samples * len(problem.active))
+
+    def _sampled(self, problem: Problem) -> Problem:
+        """The problem, that says how many paths a pixel derivatives are made of."""
+        samples = problem.samples or max(2, 2 * round(self.paths * problem.default_samples / 2))
+        return replace(problem, samples=samples)
 
     def _with_more_paths(
         self, problem: Problem, walked: Rendering, extinction: np.ndarray, seed: int, stream: int
@@ -192,7 +202,7 @@ class GaussNewton:
         iteration = None if anew else state.iterations - 1
         prior = problem.prior.frozen(state.extinction, iteration)
         if is_due(state.iterations):
-            model = _noisy_model(problem, state, jacobian, prior, state.extinction)
+            model = _noisy_model(problem, state, jacobian, prior)
             state = replace(state, returned=returned_share(model, np.random.default_rng([seed, stream])))
         give_back(prior, state.extinction, state.returned)
         value, _ = prior.value_and_gradient(state.extinction, units)
@@ -215,15 +225,15 @@ class GaussNewton:
         """
         if not state.iterations or not problem.active.standard_error.any():
             return None
-        jacobian = _derivatives_of(problem, state, seed).jacobian
-        prior = problem.prior.frozen(state.estimate)
-        give_back(prior, state.estimate, state.returned)
-        return WIDENED * standard_errors(_noisy_model(problem, state, jacobian, prior, state.estimate), draws, seed)
+        jacobian = _derivatives_of(self._sampled(problem), state, seed).jacobian
+        prior = problem.prior.frozen(state.extinction)
+        give_back(prior, state.extinction, state.returned)
+        return WIDENED * standard_errors(_noisy_model(problem, state, jacobian, prior), draws, seed)
 
 
-def tail_rate(iteration: int, part: int = 2) -> float:
-    """Share of an iteration, counted from 0, in a mean over about the later half of them, or another last part."""
-    return 1 / (1 + iteration // part)
+def tail_rate(iteration: int) -> float:
+    """Share of an iteration, counted from 0, in a mean over about the later half of them."""
+    return 1 / (1 + iteration // 2)
 
 
 def _derivatives_of(problem: Problem, state: GaussNewtonState, seed: int) -> JacobianAverage:
@@ -237,15 +247,12 @@ def _derivatives_of(problem: Problem, state: GaussNewtonState, seed: int) -> Jac
     return derivatives
 
 
-def _noisy_model(
-    problem: Problem, state: GaussNewtonState, jacobian: Jacobian, prior: FrozenPrior, extinction: np.ndarray
-) -> NoisyModel:
-    """The linear model at an extinction, where the prior stands as given."""
-    active, image, device = problem.active, state.image, problem.operator.device
+def _noisy_model(problem: Problem, state: GaussNewtonState, jacobian: Jacobian, prior: FrozenPrior) -> NoisyModel:
+    """The linear model at the extinction of a state, where the prior stands as given."""
+    active, image, device, extinction = problem.active, state.image, problem.operator.device, state.extinction
     calibration, weights, units = active.calibration, problem.weights, problem.units(state.modelled_noise(problem))
-    misfit = _misfit(problem, state) + jacobian @ (extinction - state.extinction)
     force = Force(weights, calibration, image, device)
-    data = DataTerm(jacobian, force, misfit, extinction, np.zeros_like(extinction))
+    data = DataTerm(jacobian, force, _misfit(problem, state), extinction, np.zeros_like(extinction))
     deviation = np.sqrt(active.variance + state.variance)
 
     def slope_of_noise(random: np.random.Generator) -> np.ndarray:
