@@ -13,7 +13,7 @@ typedef struct {
     float tangent;                /* derivative of the path's radiance along `change`, sr^-1 */
 } Tally;
 
-inline void tally_derivative(int index, int column, float derivative, bool is_first, Tally *tally)
+inline void tally_derivative(int index, int column, float derivative, Tally *tally)
 {
     tally->tangent += derivative * tally->change[index];
     if (tally->adjoint != 0.0f)
@@ -21,6 +21,7 @@ inline void tally_derivative(int index, int column, float derivative, bool is_fi
 }
 
 #include "derivatives.h"
+#include "camera_rays.h"
 
 /* As replay_paths, and the path's derivative along a change; nothing is added to the gradient where the adjoint is 0. */
 __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
@@ -58,6 +59,29 @@ __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
             path_tangent[path] = tally.tangent;
         }
     }
+}
+
+/* The same for the first flights, by `ray_count` rays of each of the pixels; `weight`: paths for each of them. */
+__kernel void gradient_rays(GRADIENT_RAYS_PARAMETERS)
+{
+    const size_t item = get_global_id(0);
+    const Medium medium = make_medium(MEDIUM_ARGUMENTS);
+    KEPT_FOR_ITEM(SampleKey, key);
+    if (item >= (size_t)pixel_count * ray_count)
+        return;
+    const uint pixel_in_list = (uint)item / ray_count, n = (uint)item % ray_count;
+    const uint2 pixel = pixels[pixel_in_list];
+    const SampleKey own = sample_key(seed, stream, pixel, n);
+    Tally tally;
+    tally.table = make_table(TABLE_ARGUMENTS);
+    tally.gradient = gradient;
+    tally.change = change;
+    tally.adjoint = weight * adjoint_of(adjoint, pixel_in_list, n);
+    tally.tangent = 0.0f;
+    keep_key(key, &own);
+    const Ray ray = camera_ray(scene, views + pixel.x, rays, &own);
+    deposit_camera_ray(&medium, &tally.table, &ray, key, &tally);
+    ray_tangent[n * pixel_count + pixel_in_list] = weight * tally.tangent;
 }
 
 /* Direct sunlight in the table's cells, the mean of 2 x 2 x 2 points of the Gauss-Legendre rule. */

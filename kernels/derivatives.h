@@ -16,8 +16,7 @@
  *
  * and what is done with a derivative of the path's radiance (sr^-1 km), by a voxel and its column of the table:
  *
- *   void tally_derivative(int index, int column, float derivative, bool is_first, Tally *tally)
- *       is_first: it comes from the path's first flight
+ *   void tally_derivative(int index, int column, float derivative, Tally *tally)
  */
 #ifndef CLOUDTOMO_DERIVATIVES_H
 #define CLOUDTOMO_DERIVATIVES_H
@@ -32,7 +31,6 @@ typedef struct {
     float throughput;  /* with which the flight's radiance counts in the pixel: of the path, times the flight's share */
     float sun_density; /* of scattering by droplets from the sun into the flight, sr^-1 */
     int bin;           /* of its direction */
-    bool is_first;     /* from the camera */
 } Payload;
 
 /* What more droplets in a cell would send along a flight, less what they would take, sr^-1. */
@@ -59,7 +57,7 @@ inline void deposit_crossing(const __constant Scene *scene, const Ray *ray, cons
             sources += leave_cell(&part, length) * source;
         }
     }
-    tally_derivative(index, column, payload.throughput * sources, payload.is_first, tally);
+    tally_derivative(index, column, payload.throughput * sources, tally);
 }
 
 #define TRAVERSAL fly_and_deposit
@@ -73,7 +71,7 @@ inline void deposit_shadow(int index, float length, float radiance, Tally *tally
 {
     const int column = tally->table.column[index];
     if (column >= 0)
-        tally_derivative(index, column, length * -radiance, false, tally);
+        tally_derivative(index, column, length * -radiance, tally);
 }
 
 #define TRAVERSAL fly_to_sun
@@ -88,12 +86,13 @@ inline Payload payload_of(const Medium *medium, const Segment *segment, float sh
     payload.throughput = share * segment->throughput;
     payload.sun_density = sun_density(medium, segment->start.direction);
     payload.bin = direction_bin(segment->start.direction);
-    payload.is_first = segment->event == 1u;
     return payload;
 }
 
 inline Flight tally_fly(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)
 {
+    if (segment->event == 1u) /* camera_rays.h */
+        return fly(medium, ray, segment->optical_depth);
     return fly_and_deposit(medium, ray, segment->optical_depth, payload_of(medium, segment, tally->own_share), tally);
 }
 

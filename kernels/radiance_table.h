@@ -28,13 +28,15 @@ typedef struct {
     const __global uint4 *cells;     /* of every column: its first cell, and parts along x, y, z */
     const __global float *scattered; /* [cell][bin]: source - radiance, sr^-1 */
     const __global float *sunlight;  /* [cell]: direct, share of the irradiance */
+    const __global float *source;    /* [cell][bin]: what droplets scatter of diffuse light, sr^-1 */
 } RadianceTable;
 
-#define TABLE_ARGUMENTS column, cells, scattered, sunlight
+#define TABLE_ARGUMENTS column, cells, scattered, sunlight, source
 inline RadianceTable make_table(const __global int *column, const __global uint4 *cells,
-                                const __global float *scattered, const __global float *sunlight)
+                                const __global float *scattered, const __global float *sunlight,
+                                const __global float *source)
 {
-    const RadianceTable table = {column, cells, scattered, sunlight};
+    const RadianceTable table = {column, cells, scattered, sunlight, source};
     return table;
 }
 

@@ -17,6 +17,7 @@ from cloudtomo_cl.transport.radiance import FIXED_POINT_SCALE, RadianceOperator,
 
 # Photons from the sun for each path of the rendering whose derivatives are wanted.
 _PHOTONS_PER_PATH = 1
+_PATHS_PER_RAY = 4
 # Of an entry on the device: its sum, and what becomes of it. On the host, where several ranks add up: their sums.
 _BYTES_PER_ENTRY, _LARGEST_BYTES, _HOST_BYTES = 12, 8, 24
 # Kernels count the table's entries with signed integers of 32 bits.
@@ -82,8 +83,10 @@ class RadianceTable:
         # Of a phase table the middle row stands for all: it is what flights to the sun are drawn from.
         albedos = getattr(cloud.phase_function, "single_scattering_albedo", None) or (cloud.single_scattering_albedo,)
         self._albedo = albedos[len(albedos) // 2]
-        droplets = self._albedo * scattering_matrix(cloud.phase_function) - np.eye(BINS)
+        droplets = self._albedo * scattering_matrix(cloud.phase_function)
         self._scattering = device.constant((droplets / solid_angles()).T.astype(np.float32))
+        self._solid_angle = device.constant(solid_angles().astype(np.float32))
+        self._gradient_rays = device.kernel("derivatives", "gradient_rays", features)
 
     def gradient(self, rendering: Rendering, adjoint: np.ndarray, change: Any) -> tuple[Any, np.ndarray]:
         """The gradient of a cost with respect to extinction; as `RadianceOperator.gradient`.
@@ -122,10 +125,11 @@ class RadianceTable:
         cell_column = device.constant(divided.voxel.astype(np.int32))
         overflown = device.zeros(1, np.uint32)
         self._scattered = device.empty((self.cells, BINS), np.float32)
+        self._source = device.empty((self.cells, BINS), np.float32)
         device.launch(
             self._tabulate, self.cells * BINS, table_sums=sums, scattering=self._scattering, cells=self._places,
             cell_column=cell_column, count=self.cells, unit=unit / float(np.prod(scene.grid.spacing)),
-            scattered=self._scattered, overflown=overflown,
+            scattered=self._scattered, source=self._source, solid_angle=self._solid_angle, overflown=overflown,
         )  # fmt: skip
         if overflown.get()[0]:
             raise TransportError(
@@ -145,11 +149,15 @@ class RadianceTable:
         places = {"column": self.column, "cells": self._places}
         return self._photons.fill(rendering._medium, photons, rendering.seed, rendering.stream, places, sums)
 
+    def rays(self, rendering: Rendering) -> int:
+        return max(2, 2 * round(rendering.samples / 2 / _PATHS_PER_RAY))
+
     @property
     def buffers(self) -> dict[str, Any]:
         """The table as kernels take it."""
         return {
             "column": self.column, "cells": self._places, "scattered": self._scattered, "sunlight": self._sunlight,
+            "source": self._source,
         }  # fmt: skip
 
     def _walk(self, rendering: Rendering, adjoint: np.ndarray, change: Any) -> tuple[Any, np.ndarray]:
@@ -168,7 +176,15 @@ class RadianceTable:
                     path_tangent=paths,
                 )  # fmt: skip
                 tangent = _added_in_order(tangent, paths.get().reshape(-1, len(tangent)))
-            return tangent
+            count = self.rays(rendering)
+            of_rays = operator.device.empty(max(count * len(tangent), 1), np.float32)
+            for launch in operator.stored_launches(rendering):
+                launch.walk(
+                    self._gradient_rays, count * len(tangent), **self.buffers, adjoint=factors, change=change,
+                    gradient=total, ray_tangent=of_rays, ray_count=count, weight=rendering.samples / count,
+                )
+                break
+            return _added_in_order(tangent, of_rays.get().reshape(-1, len(tangent)))
 
         tangent = operator.shares.gathered(operator.ranks.together(walk))
         operator.make_total(total)

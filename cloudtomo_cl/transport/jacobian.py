@@ -317,7 +317,16 @@ class JacobianSums:
     ) -> None:
         own = self.structure
         kernel = self._operator.device.kernel("jacobian", "jacobian_paths", self._table.features)
-        for launch in self._operator.stored_launches(rendering):
+        rays = self._operator.device.kernel("jacobian", "jacobian_rays", self._table.features)
+        each = self._table.rays(rendering)
+        for number, launch in enumerate(self._operator.stored_launches(rendering)):
+            if not number:
+                launch.walk(
+                    rays, count * each, **self._table.buffers, tiles=own.tiles, slot_start=own.slot_start,
+                    first_pixel=first, row_count=count, place=own.place, block=own.block, pixel_block=own.pixel_block,
+                    block_count=len(own.voxel_blocks), near_sums=near_sums, far_sums=far_sums, ray_count=each,
+                    weight=rendering.samples / each,
+                )  # fmt: skip
             launch.run_rows(
                 kernel, count, **self._table.buffers, tiles=own.tiles, slot_start=own.slot_start, first_pixel=first,
                 row_count=count, place=own.place, block=own.block, pixel_block=own.pixel_block,

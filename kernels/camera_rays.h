@@ -1,0 +1,162 @@
+/* Derivatives along the first flights of paths from cameras: by the source function along their rays.
+ *
+ * All light of a pixel comes along its ray, and what a table has of it in the ray's own bin of directions is noisy.
+ * Its source function is not, for droplets scatter from many bins. So along rays from the cameras the radiance is what
+ * the source function before it sends, with what the table has for the radiance where the ray is left:
+ *
+ *     R = sum over the cells of S_k (exp(-t_{k-1}) - exp(-t_k)) + exp(-t_n) radiance,
+ *
+ * with t the optical depth of droplets from the camera on to a cell's end. A little more of droplets in cell k, l km
+ * long, changes that by l (S_k exp(-t_k) - R_{>k}), R_{>k} being what comes from behind the cell.
+ *
+ * A first traversal sums up R, a second one deposits. Up to EXPECTED_DEPTH all counts in full; from there on flights
+ * end as those of paths do, and what they bring counts for those that have ended. Air takes from what arrives, but is
+ * no source here: what it scatters into a ray and out of it is nearly the same.
+ *
+ * The including file defines what derivatives.h says. */
+#ifndef CLOUDTOMO_CAMERA_RAYS_H
+#define CLOUDTOMO_CAMERA_RAYS_H
+
+#include "radiance_table.h"
+#include "walk/path.h"
+
+/* Optical depths: up to which flights do not end; beyond their end, up to which light is followed. */
+#define EXPECTED_DEPTH 2.0f
+#define DEPTH_BEHIND 2.0f
+
+typedef struct {
+    const RadianceTable *table;
+    float sun_density; /* of scattering by droplets from the sun into the ray, sr^-1 */
+    int bin;
+    float transmittance; /* of droplets, so far */
+    float radiance;      /* of the cells so far */
+    float total;         /* R */
+    uint last;           /* cell */
+    bool any;            /* whether there has been one */
+} CameraRay;
+
+inline float ray_source(const CameraRay *own, uint cell)
+{
+    return own->table->source[cell * DIRECTION_BINS + own->bin] + own->sun_density * own->table->sunlight[cell];
+}
+
+/* Across `length` km of a cell. */
+inline void cross_cell(uint cell, float length, float source, float droplets, CameraRay *own)
+{
+    const float left = own->transmittance * exponential(-droplets * length);
+    own->radiance += source * (own->transmittance - left);
+    own->transmittance = left;
+    own->last = cell;
+    own->any = true;
+}
+
+inline void gather_crossing(const __constant Scene *scene, const Ray *ray, const VoxelWalk *walk, float length,
+                            float droplets, CameraRay *own)
+{
+    const int column = own->table->column[walk->index];
+    if (column < 0)
+        return;
+    const uint4 cells = own->table->cells[column];
+    if (is_whole(cells)) {
+        cross_cell(cells.x, length, ray_source(own, cells.x), droplets, own);
+        return;
+    }
+    CellWalk part = walk_cells(scene, cells, ray, walk->distance, length);
+    while (part.from < length) {
+        const uint cell = part.cell;
+        cross_cell(cell, leave_cell(&part, length), ray_source(own, cell), droplets, own);
+    }
+}
+
+#define TRAVERSAL fly_and_gather
+#define TRAVERSAL_CONTEXT , CameraRay *own
+#define CROSSES(index, length) gather_crossing(scene, ray, &walk, length, droplets, own)
+#define SKIPS()
+#include "walk/traversal.h"
+
+/* Mean of exp(greater(t - EXPECTED_DEPTH, 0)) over the depths from a to b: flights that have got so far, for all. */
+inline float all_flights(float a, float b)
+{
+    const float from = greater(a - EXPECTED_DEPTH, 0.0f), until = greater(b - EXPECTED_DEPTH, 0.0f);
+    return until > 0.0f ? exponential(0.5f * (from + until)) : 1.0f;
+}
+
+/* `depth`: of droplets and air, where the crossing begins; `extinction`: of both */
+inline void deposit_along_ray(const __constant Scene *scene, const Ray *ray, const VoxelWalk *walk, float length,
+                              float droplets, float extinction, float depth, CameraRay *own, Tally *tally)
+{
+    const int index = walk->index, column = own->table->column[index];
+    if (column < 0)
+        return;
+    const uint4 cells = own->table->cells[column];
+    float sum = 0.0f;
+    const float air = exponential(-depth) / own->transmittance;
+    if (is_whole(cells)) {
+        const float source = ray_source(own, cells.x);
+        cross_cell(cells.x, length, source, droplets, own);
+        sum = length * (source * own->transmittance - (own->total - own->radiance))
+              * all_flights(depth, depth + extinction * length);
+    } else {
+        CellWalk part = walk_cells(scene, cells, ray, walk->distance, length);
+        while (part.from < length) {
+            const uint cell = part.cell;
+            const float source = ray_source(own, cell), crossed = leave_cell(&part, length);
+            cross_cell(cell, crossed, source, droplets, own);
+            sum += crossed * (source * own->transmittance - (own->total - own->radiance))
+                   * all_flights(depth, depth + extinction * crossed);
+            depth += extinction * crossed;
+        }
+    }
+    tally_derivative(index, column, air * sum, tally);
+}
+
+#define TRAVERSAL fly_and_deposit_along
+#define TRAVERSAL_CONTEXT , CameraRay *own, Tally *tally
+#define CROSSES(index, length) \
+    deposit_along_ray(scene, ray, &walk, length, droplets, extinction, flight.depth, own, tally)
+#define SKIPS()
+#include "walk/traversal.h"
+
+/* Whether nothing shines into a ray that has left all that scatters. */
+inline bool is_dark_behind(const __constant Scene *scene, const Ray *ray, const Flight *flight)
+{
+#ifdef CLOUDTOMO_ATMOSPHERE
+    return false;
+#else
+#ifdef TERM_DARK
+    return !flight->collided;
+#endif
+    return !flight->collided && !flight->lost && !meets_surface(scene, ray);
+#endif
+}
+
+/* Derivatives of a pixel's radiance by the ray of one sample. */
+inline void deposit_camera_ray(const Medium *medium, const RadianceTable *table, const Ray *from,
+                               const KEPT SampleKey *key, Tally *tally)
+{
+    CameraRay own;
+    own.table = table;
+    own.sun_density = sun_density(medium, from->direction);
+    own.bin = direction_bin(from->direction);
+    own.transmittance = 1.0f;
+    own.radiance = 0.0f;
+    own.total = 0.0f;
+    own.last = 0u;
+    own.any = false;
+    const float depth = EXPECTED_DEPTH - logarithm(event_uniforms(key, 1u, BLOCK_EVENT).x);
+    Ray ray = *from;
+    const Flight flight = fly_and_gather(medium, &ray, depth + DEPTH_BEHIND, &own);
+    if (!own.any)
+        return;
+    own.total = own.radiance;
+    if (!is_dark_behind(medium->scene, &ray, &flight)) {
+        const size_t place = (size_t)own.last * DIRECTION_BINS + own.bin;
+        own.total += own.transmittance * (table->source[place] - table->scattered[place]);
+    }
+    own.transmittance = 1.0f;
+    own.radiance = 0.0f;
+    ray = *from;
+    fly_and_deposit_along(medium, &ray, depth, &own, tally);
+}
+
+#endif
