@@ -35,44 +35,24 @@ typedef struct {
     bool any;            /* whether there has been one */
 } CameraRay;
 
-inline float ray_source(const CameraRay *own, uint cell)
+inline float ray_source(const CameraRay *own, uint cell, float sunlight)
 {
-    return own->table->source[cell * DIRECTION_BINS + own->bin] + own->sun_density * own->table->sunlight[cell];
+    return own->table->source[cell * DIRECTION_BINS + own->bin]
+           + own->sun_density * sunlight * own->table->sunlight[cell];
 }
 
+/* Steps that cells are crossed in: sunlight changes in them. */
+#define STEP_DEPTH 0.3f
+#define MOST_STEPS 8.0f
+inline float steps_of(float depth) { return within(ceil(depth / STEP_DEPTH), 1.0f, MOST_STEPS); }
+
 /* Across `length` km of a cell. */
-inline void cross_cell(uint cell, float length, float source, float droplets, CameraRay *own)
+inline void cross_part(float length, float source, float droplets, CameraRay *own)
 {
     const float left = own->transmittance * exponential(-droplets * length);
     own->radiance += source * (own->transmittance - left);
     own->transmittance = left;
-    own->last = cell;
-    own->any = true;
 }
-
-inline void gather_crossing(const __constant Scene *scene, const Ray *ray, const VoxelWalk *walk, float length,
-                            float droplets, CameraRay *own)
-{
-    const int column = own->table->column[walk->index];
-    if (column < 0)
-        return;
-    const uint4 cells = own->table->cells[column];
-    if (is_whole(cells)) {
-        cross_cell(cells.x, length, ray_source(own, cells.x), droplets, own);
-        return;
-    }
-    CellWalk part = walk_cells(scene, cells, ray, walk->distance, length);
-    while (part.from < length) {
-        const uint cell = part.cell;
-        cross_cell(cell, leave_cell(&part, length), ray_source(own, cell), droplets, own);
-    }
-}
-
-#define TRAVERSAL fly_and_gather
-#define TRAVERSAL_CONTEXT , CameraRay *own
-#define CROSSES(index, length) gather_crossing(scene, ray, &walk, length, droplets, own)
-#define SKIPS()
-#include "walk/traversal.h"
 
 /* Mean of exp(greater(t - EXPECTED_DEPTH, 0)) over the depths from a to b: flights that have got so far, for all. */
 inline float all_flights(float a, float b)
@@ -81,33 +61,61 @@ inline float all_flights(float a, float b)
     return until > 0.0f ? exponential(0.5f * (from + until)) : 1.0f;
 }
 
-/* `depth`: of droplets and air, where the crossing begins; `extinction`: of both */
+/* Across a cell; returns what is deposited there. */
+inline float cross_cell(uint cell, float from, float length, const SunlightWalk *sun, float droplets, float extinction,
+                        float depth, CameraRay *own)
+{
+    const float steps = sun->rate == 0.0f ? 1.0f : steps_of(droplets * length), step = length / steps;
+    float sum = 0.0f;
+    for (float n = 0.0f; n < steps; n += 1.0f) {
+        const float source = ray_source(own, cell, mean_sunlight(sun, from + n * step, step));
+        cross_part(step, source, droplets, own);
+        const float next = depth + extinction * step;
+        sum += step * (source * own->transmittance - (own->total - own->radiance)) * all_flights(depth, next);
+        depth = next;
+    }
+    own->last = cell;
+    own->any = true;
+    return sum;
+}
+
+/* Across a voxel. `depth`: of droplets and air, where the crossing begins; `extinction`: of both */
+inline float cross_voxel(const __constant Scene *scene, const Ray *ray, const VoxelWalk *walk, float length,
+                         float droplets, float extinction, float depth, CameraRay *own)
+{
+    const int column = own->table->column[walk->index];
+    if (column < 0)
+        return 0.0f;
+    const uint4 cells = own->table->cells[column];
+    const SunlightWalk sun = walk_sunlight(scene, ray, walk->distance, length, droplets);
+    if (is_whole(cells))
+        return cross_cell(cells.x, 0.0f, length, &sun, droplets, extinction, depth, own);
+    float sum = 0.0f;
+    CellWalk part = walk_cells(scene, cells, ray, walk->distance, length);
+    while (part.from < length) {
+        const uint cell = part.cell;
+        const float from = part.from, crossed = leave_cell(&part, length);
+        sum += cross_cell(cell, from, crossed, &sun, droplets, extinction, depth, own);
+        depth += extinction * crossed;
+    }
+    return sum;
+}
+
+#define TRAVERSAL fly_and_gather
+#define TRAVERSAL_CONTEXT , CameraRay *own
+#define CROSSES(index, length) cross_voxel(scene, ray, &walk, length, droplets, extinction, flight.depth, own)
+#define SKIPS()
+#include "walk/traversal.h"
+
 inline void deposit_along_ray(const __constant Scene *scene, const Ray *ray, const VoxelWalk *walk, float length,
                               float droplets, float extinction, float depth, CameraRay *own, Tally *tally)
 {
-    const int index = walk->index, column = own->table->column[index];
+    const int column = own->table->column[walk->index];
     if (column < 0)
         return;
-    const uint4 cells = own->table->cells[column];
-    float sum = 0.0f;
     const float air = exponential(-depth) / own->transmittance;
-    if (is_whole(cells)) {
-        const float source = ray_source(own, cells.x);
-        cross_cell(cells.x, length, source, droplets, own);
-        sum = length * (source * own->transmittance - (own->total - own->radiance))
-              * all_flights(depth, depth + extinction * length);
-    } else {
-        CellWalk part = walk_cells(scene, cells, ray, walk->distance, length);
-        while (part.from < length) {
-            const uint cell = part.cell;
-            const float source = ray_source(own, cell), crossed = leave_cell(&part, length);
-            cross_cell(cell, crossed, source, droplets, own);
-            sum += crossed * (source * own->transmittance - (own->total - own->radiance))
-                   * all_flights(depth, depth + extinction * crossed);
-            depth += extinction * crossed;
-        }
-    }
-    tally_derivative(index, column, air * sum, tally);
+    const float sum = cross_voxel(scene, ray, walk, length, droplets, extinction, depth, own);
+    tally_derivative(walk->index, column, air * sum, tally);
 }
 
 #define TRAVERSAL fly_and_deposit_along

@@ -97,7 +97,8 @@ __kernel void direct_sunlight(DIRECT_SUNLIGHT_PARAMETERS)
     const uint3 parts = cells[column].yzw;
     const uint number = (uint)cell - cells[column].x;
     const uint3 part = (uint3)(number / (parts.y * parts.z), number / parts.z % parts.y, number % parts.z);
-    float sum = 0.0f;
+    const float rate = sunlight_rate(scene, extinction[index]);
+    float sum = 0.0f, unit = 0.0f;
     for (int n = 0; n < 8; ++n) {
         Ray ray;
         const float3 side = (float3)(n & 1 ? 1.0f : -1.0f, n & 2 ? 1.0f : -1.0f, n & 4 ? 1.0f : -1.0f);
@@ -106,7 +107,9 @@ __kernel void direct_sunlight(DIRECT_SUNLIGHT_PARAMETERS)
         ray.direction = sun_direction(scene);
         ray.voxel = at;
         ray.inside = true;
+        const float way = scalar_product(ray.direction, (ray.position - convert_float3(at)) * grid_spacing(scene));
+        unit += sunlight_at(rate, way);
         sum += exp(-fly(&medium, &ray, INFINITY).depth);
     }
-    sunlight[cell] = 0.125f * sum;
+    sunlight[cell] = sum / unit;
 }

@@ -34,27 +34,29 @@ typedef struct {
 } Payload;
 
 /* What more droplets in a cell would send along a flight, less what they would take, sr^-1. */
-inline float cell_source(const RadianceTable *table, uint cell, Payload payload)
+inline float cell_source(const RadianceTable *table, uint cell, float sunlight, Payload payload)
 {
-    return table->scattered[cell * DIRECTION_BINS + payload.bin] + payload.sun_density * table->sunlight[cell];
+    return table->scattered[cell * DIRECTION_BINS + payload.bin] + payload.sun_density * sunlight * table->sunlight[cell];
 }
 
 inline void deposit_crossing(const __constant Scene *scene, const Ray *ray, const VoxelWalk *walk, float length,
-                             Payload payload, Tally *tally)
+                             float droplets, Payload payload, Tally *tally)
 {
     const RadianceTable *table = &tally->table;
     const int index = walk->index, column = table->column[index];
     if (column < 0)
         return;
     const uint4 cells = table->cells[column];
+    const SunlightWalk sun = walk_sunlight(scene, ray, walk->distance, length, droplets);
     float sources = 0.0f; /* times their lengths */
     if (is_whole(cells)) {
-        sources = length * cell_source(table, cells.x, payload);
+        sources = length * cell_source(table, cells.x, mean_sunlight(&sun, 0.0f, length), payload);
     } else {
         CellWalk part = walk_cells(scene, cells, ray, walk->distance, length);
         while (part.from < length) {
-            const float source = cell_source(table, part.cell, payload);
-            sources += leave_cell(&part, length) * source;
+            const uint cell = part.cell;
+            const float from = part.from, crossed = leave_cell(&part, length);
+            sources += crossed * cell_source(table, cell, mean_sunlight(&sun, from, crossed), payload);
         }
     }
     tally_derivative(index, column, payload.throughput * sources, tally);
@@ -62,7 +64,7 @@ inline void deposit_crossing(const __constant Scene *scene, const Ray *ray, cons
 
 #define TRAVERSAL fly_and_deposit
 #define TRAVERSAL_CONTEXT , Payload payload, Tally *tally
-#define CROSSES(index, length) deposit_crossing(scene, ray, &walk, length, payload, tally)
+#define CROSSES(index, length) deposit_crossing(scene, ray, &walk, length, droplets, payload, tally)
 #define SKIPS()
 #include "walk/traversal.h"
 
