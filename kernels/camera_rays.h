@@ -58,7 +58,7 @@ inline void cross_part(float length, float source, float droplets, CameraRay *ow
 inline float all_flights(float a, float b)
 {
     const float from = greater(a - EXPECTED_DEPTH, 0.0f), until = greater(b - EXPECTED_DEPTH, 0.0f);
-    return until > 0.0f ? exponential(0.5f * (from + until)) : 1.0f;
+    return growth(0.5f * (from + until));
 }
 
 /* Across a cell; returns what is deposited there. */
@@ -131,9 +131,6 @@ inline bool is_dark_behind(const __constant Scene *scene, const Ray *ray, const 
 #ifdef CLOUDTOMO_ATMOSPHERE
     return false;
 #else
-#ifdef TERM_DARK
-    return !flight->collided;
-#endif
     return !flight->collided && !flight->lost && !meets_surface(scene, ray);
 #endif
 }

@@ -109,7 +109,7 @@ __kernel void direct_sunlight(DIRECT_SUNLIGHT_PARAMETERS)
         ray.inside = true;
         const float way = scalar_product(ray.direction, (ray.position - convert_float3(at)) * grid_spacing(scene));
         unit += sunlight_at(rate, way);
-        sum += exp(-fly(&medium, &ray, INFINITY).depth);
+        sum += exponential(-fly(&medium, &ray, INFINITY).depth);
     }
     sunlight[cell] = sum / unit;
 }

@@ -19,8 +19,7 @@ inline int direction_bin(float3 direction)
     int ring = 0;
     while (ring < DIRECTION_RINGS - 1 && direction.z < ring_cosine[ring + 1])
         ++ring;
-    float turn = atan2(direction.y, direction.x) * (0.5f * ONE_OVER_PI);
-    turn -= floor(turn);
+    const float turn = turn_of(direction.x, direction.y);
     return ring_first[ring] + min((int)(turn * (float)ring_azimuths[ring]), ring_azimuths[ring] - 1);
 }
 
@@ -45,6 +44,7 @@ inline RadianceTable make_table(const __global int *column, const __global uint4
  * shorter. Where that is little it is constant. */
 #define LEAST_CHANGE 0.1f
 #define MOST_CHANGE 30.0f
+#define LITTLE 0.01f /* for a series of two terms */
 inline float sunlight_rate(const __constant Scene *scene, float droplets)
 {
     const float3 spacing = grid_spacing(scene);
@@ -52,8 +52,15 @@ inline float sunlight_rate(const __constant Scene *scene, float droplets)
     return droplets * size < LEAST_CHANGE ? 0.0f : lesser(droplets, MOST_CHANGE / size);
 }
 
+/* The exponential of any number. */
+inline float growth(float a)
+{
+    const float falls = exponential(-magnitude(a));
+    return a > 0.0f ? 1.0f / falls : falls;
+}
+
 /* In units of what it has in the voxel's lower corner; `way`: from there towards the sun, km. */
-inline float sunlight_at(float rate, float way) { return rate == 0.0f ? 1.0f : exp(rate * way); }
+inline float sunlight_at(float rate, float way) { return rate == 0.0f ? 1.0f : growth(rate * way); }
 
 /* Direct sunlight along a crossing of a voxel. */
 typedef struct {
@@ -80,8 +87,8 @@ inline float mean_sunlight(const SunlightWalk *walk, float from, float length)
     if (walk->rate == 0.0f)
         return 1.0f;
     const float more = walk->rate * walk->slope * length;
-    const float mean = magnitude(more) < 1e-3f ? 1.0f + 0.5f * more : (exp(more) - 1.0f) / more;
-    return exp(walk->rate * (walk->way + walk->slope * from)) * mean;
+    const float mean = magnitude(more) < LITTLE ? 1.0f + 0.5f * more : (growth(more) - 1.0f) / more;
+    return growth(walk->rate * (walk->way + walk->slope * from)) * mean;
 }
 
 /* A walk along a crossing of a voxel, from cell to cell. */

@@ -1,6 +1,6 @@
 """All that is to be known of a GPU, by one command: what it computes, whether it is right, and how fast it is.
 
-    python scripts/gpu_check.py                       # the first GPU, or what CLOUDTOMO_DEVICE names; 8 minutes
+    python scripts/gpu_check.py                       # the first GPU, or what CLOUDTOMO_DEVICE names; 5 to 10 minutes
     python scripts/gpu_check.py --device pthread --quick   # the rehearsal on a CPU
     python scripts/gpu_check.py --parts bits audits   # some of it
     python scripts/gpu_check.py --store               # on a CPU: writes the bits that a GPU's are compared with

@@ -90,9 +90,9 @@ class _Version(argparse.Action):
         super().__init__(option_strings, nothing, default=nothing, nargs=0, help="print the version and exit")
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from importlib.metadata import version
+        from cloudtomo_cl.versions import version_of
 
-        print(f"cloudtomo {version('cloudtomo-cl')}")
+        print(f"cloudtomo {version_of()}")
         parser.exit()
 
 

@@ -4,25 +4,26 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cloudtomo_cl.versions import PACKAGE, version_of
+
 if TYPE_CHECKING:
     from cloudtomo_cl.opencl.device import Device
 
-_PACKAGES = ("cloudtomo-cl", "numpy", "scipy", "pyopencl", "pydantic", "xarray", "netCDF4", "matplotlib")
+_PACKAGES = (PACKAGE, "numpy", "scipy", "pyopencl", "pydantic", "xarray", "netCDF4", "matplotlib")
 
 
 def source() -> str:
     """This package and its version."""
-    return f"cloudtomo-cl {version('cloudtomo-cl')}"
+    return f"{PACKAGE} {version_of()}"
 
 
 def versions() -> dict[str, str]:
     """Of Python and of the packages that numbers depend on."""
-    return {"python": platform.python_version(), **{package: version(package) for package in _PACKAGES}}
+    return {"python": platform.python_version(), **{package: version_of(package) for package in _PACKAGES}}
 
 
 def digest(array: np.ndarray) -> str:

@@ -13,7 +13,6 @@ import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Union
 
@@ -24,6 +23,7 @@ from cloudtomo_cl.files.missing import decode_all
 from cloudtomo_cl.files.units import RADIANCE, Unit, parse_unit
 from cloudtomo_cl.files.whole import check_target, written_whole
 from cloudtomo_cl.memory import require, size_text
+from cloudtomo_cl.versions import version_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -292,7 +292,7 @@ def file_attributes(title: str, attributes: Mapping[str, Any] | None) -> dict[st
     described: dict[str, Any] = {
         "Conventions": CONVENTIONS,
         "title": title,
-        "history": f"{now} written by cloudtomo-cl {version('cloudtomo-cl')}",
+        "history": f"{now} written by cloudtomo-cl {version_of()}",
         "references": REFERENCES,
     }
     for name, value in (attributes or {}).items():

@@ -22,8 +22,8 @@ FEATURES = (
     "RING_AZIMUTHS " + ", ".join(map(str, AZIMUTHS)),
     "RING_FIRSTS " + ", ".join(map(str, _FIRST)),
 )
-# Points along each side of a bin over which functions are averaged.
-_POINTS = 8
+# Angles from the vertical within each ring over which functions are averaged.
+_NODES = 48
 # Legendre moments that are used; they fade out over the later half, for bins see no finer.
 _MOMENTS, _FADED = 100, 50.0
 # Points between the directions 0 and 180 degrees apart at which functions of the angle are known.
@@ -56,43 +56,58 @@ def scattering_matrix(phase_function: PhaseFunction) -> np.ndarray:
     shape (bins, bins), sr per sr: the source function in bin i is its sum over j times the radiance in j; rows sum to 1
     """
     moments = _moments(phase_function)
-    orders = np.arange(len(moments))
-    covariance = moments**2 * np.exp(-((orders / _FADED) ** 2))
-    directions, solid_angles = _points()
-    radiance = _means(covariance, directions)
-    scattered = _means(covariance * moments, directions)
+    covariance = moments**2 * np.exp(-((np.arange(len(moments)) / _FADED) ** 2))
+    harmonics, degrees = _harmonics()
+
+    def means(of_degree: np.ndarray) -> np.ndarray:
+        """Over every two bins, of the function of the angle between directions that has these moments."""
+        means_of_two: np.ndarray = (harmonics * of_degree[degrees]) @ harmonics.T
+        return means_of_two
+
+    radiance, scattered = means(covariance), means(covariance * moments)
     scale = np.mean(np.diag(radiance))
-    rough = _ROUGH * scale * solid_angles.mean() / solid_angles
+    rough = _ROUGH * scale * solid_angles().mean() / solid_angles()
     both = _ISOTROPIC * scale
     matrix = np.linalg.solve(radiance + both + np.diag(rough), scattered + both).T
     return matrix / matrix.sum(axis=1, keepdims=True)
 
 
-def _points() -> tuple[list[np.ndarray], np.ndarray]:
-    """Unit vectors all over each bin, arrays (points, 3), and the bins' solid angles, sr."""
-    random = np.random.default_rng(0)
-    directions, solid_angles = [], []
-    for ring, count in enumerate(AZIMUTHS):
-        upper, lower = np.cos(np.radians(EDGES[ring : ring + 2]))
-        for azimuth in range(count):
-            u = (np.indices((_POINTS, _POINTS)).reshape(2, -1).T + random.random((_POINTS**2, 2))) / _POINTS
-            cosine, phi = lower + (upper - lower) * u[:, 0], 2 * np.pi * (azimuth + u[:, 1]) / count
-            sine = np.sqrt(1 - cosine**2)
-            directions.append(np.column_stack([sine * np.cos(phi), sine * np.sin(phi), cosine]))
-            solid_angles.append((upper - lower) * 2 * np.pi / count)
-    return directions, np.array(solid_angles)
+@lru_cache
+def _harmonics() -> tuple[np.ndarray, np.ndarray]:
+    """Means of the real spherical harmonics over the bins.
 
+    Source: the recursion of Holmes and Featherstone 2002, "A unified approach to the Clenshaw summation and the
+    recursive computation of very high degree and order normalised associated Legendre functions", equation 11.
 
-def _means(moments: np.ndarray, directions: list[np.ndarray]) -> np.ndarray:
-    """Means over every two bins of a function of the angle between directions, given its Legendre moments."""
-    orders = np.arange(len(moments))
-    cosines = np.cos(np.linspace(np.pi, 0, _ANGLES))
-    values = np.polynomial.legendre.legval(cosines, (2 * orders + 1) / (4 * np.pi) * moments)
-    means = np.empty((BINS, BINS))
-    for i, first in enumerate(directions):
-        for j, second in enumerate(directions[: i + 1]):
-            means[i, j] = means[j, i] = np.interp(first @ second.T, cosines, values).mean()
-    return means
+    Returns
+    -------
+    means : shape (bins, harmonics)
+    degrees : of the harmonics
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    lower, upper = np.radians(EDGES[:-1])[:, None], np.radians(EDGES[1:])[:, None]
+    angles = (lower + upper) / 2 + (upper - lower) / 2 * nodes  # (rings, nodes)
+    weights = weights * np.sin(angles)
+    weights /= weights.sum(axis=1, keepdims=True)
+    cosine, sine = np.cos(angles), np.sin(angles)
+    counts = np.repeat(AZIMUTHS, AZIMUTHS)
+    middle = 2 * np.pi * (np.arange(BINS) - np.repeat(_FIRST, AZIMUTHS) + 0.5) / counts
+    means, degrees = [], []
+    sectoral = np.full_like(angles, np.sqrt(1 / (4 * np.pi)))
+    for m in range(_MOMENTS + 1):
+        if m:
+            sectoral = sectoral * sine * np.sqrt((2 * m + 1) / (2 * m) * (2 if m == 1 else 1))
+        before, legendre = np.zeros_like(sectoral), sectoral
+        around = [np.ones(BINS)] if m == 0 else [f(m * middle) * np.sinc(m / counts) for f in (np.cos, np.sin)]
+        for degree in range(m, _MOMENTS + 1):
+            of_rings = np.repeat((weights * legendre).sum(axis=1), AZIMUTHS)
+            means += [of_rings * of_azimuths for of_azimuths in around]
+            degrees += [degree] * len(around)
+            raised = (degree + 1) ** 2 - m**2
+            kept = (degree**2 - m**2) / (4 * degree**2 - 1)
+            following = np.sqrt((4 * (degree + 1) ** 2 - 1) / raised) * (cosine * legendre - np.sqrt(kept) * before)
+            before, legendre = legendre, following
+    return np.array(means).T, np.array(degrees)
 
 
 def _moments(phase_function: PhaseFunction) -> np.ndarray:

@@ -49,7 +49,7 @@ inline float rayleigh(float cosine) { return 0.1875f * ONE_OVER_PI * (1.0f + cos
 inline float sample_rayleigh(float u)
 {
     const float q = 4.0f * u - 2.0f;
-    const float root = cbrt(magnitude(q) + square_root(q * q + 1.0f)); /* >= 1: no cancellation */
+    const float root = cube_root(magnitude(q) + square_root(q * q + 1.0f)); /* >= 1: no cancellation */
     return within(copysign(root - 1.0f / root, q), -1.0f, 1.0f);
 }
 

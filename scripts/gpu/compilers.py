@@ -17,6 +17,7 @@ from pathlib import Path
 import pyopencl
 
 from cloudtomo_cl.opencl.device import choose_device, kernels_folder
+from cloudtomo_cl.opencl.dialect import GROUP_SIZE_ON_NVIDIA, WORK_GROUP_SIZE
 from cloudtomo_cl.transport.directions import FEATURES as TABLE_FEATURES
 
 NVIDIA, AMD = ("sm_80", "sm_90"), ("gfx90a", "gfx1100")
@@ -144,6 +145,7 @@ class Compilers:
     def _source(self, kernel: KernelSource, keeps_local: bool) -> Path:
         device = choose_device()
         device.regenerates, device.keeps_local = True, keeps_local
+        device.group_size = GROUP_SIZE_ON_NVIDIA if keeps_local else WORK_GROUP_SIZE
         macros = "".join(f"#define {feature}\n" for feature in kernel.features)
         path = self.folder / f"{re.sub(r'[^a-z]+', '_', str(kernel))}.cl"
         missing = f"#ifdef __NVPTX__\n{_ATOMICS}{_OFFSET}#endif\n"

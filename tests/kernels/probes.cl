@@ -26,15 +26,18 @@ __kernel void probe_open_uniform(const uint count, const __global uint *bits, __
 /* The logarithm, square root and exponential (of what is not above 0), cosine and sine of a turn. */
 __kernel void probe_arithmetic(const uint count, const __global float *positive, const __global float *negative,
                                const __global float *turn, __global float *logarithms, __global float *roots,
-                               __global float *exponentials, __global float *cosines, __global float *sines)
+                               __global float *cube_roots, __global float *exponentials, __global float *cosines,
+                               __global float *sines, __global float *turns)
 {
     PROBE(count);
     logarithms[i] = logarithm(positive[i]);
     roots[i] = square_root(positive[i]);
+    cube_roots[i] = cube_root(positive[i]);
     exponentials[i] = exponential(negative[i]);
     const float2 both = cosine_and_sine_of_turn(turn[i]);
     cosines[i] = both.x;
     sines[i] = both.y;
+    turns[i] = turn_of(positive[i] * both.x, positive[i] * both.y);
 }
 
 /* Henyey-Greenstein and Rayleigh at a cosine; cosines drawn from both with a uniform number. */

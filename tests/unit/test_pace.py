@@ -65,16 +65,17 @@ def test_a_launch_that_fails_while_it_runs_is_told(monkeypatch):
 @pytest.mark.parametrize(
     ("said", "size"),
     [
-        ({"warp_size_nv": 32}, 64),
+        ({"vendor": "NVIDIA Corporation", "warp_size_nv": 32}, 128),
         ({"wavefront_width_amd": 64}, 64),
         ({"preferred_work_group_size_multiple": 128}, 128),
         ({"preferred_work_group_size_multiple": 24}, 72),
         ({}, 64),
         ({"warp_size_nv": 32, "max_work_group_size": 16}, 16),
+        ({"vendor": "NVIDIA Corporation", "warp_size_nv": 32, "max_work_group_size": 64}, 64),
     ],
 )
 def test_groups_are_whole_warps(said, size):
-    assert group_size(SimpleNamespace(**{"max_work_group_size": 1024} | said)) == size
+    assert group_size(SimpleNamespace(**{"vendor": "another", "max_work_group_size": 1024} | said)) == size
 
 
 @pytest.mark.parametrize(
