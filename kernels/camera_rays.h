@@ -125,19 +125,22 @@ inline void deposit_along_ray(const __constant Scene *scene, const Ray *ray, con
 #define SKIPS()
 #include "walk/traversal.h"
 
-/* Whether nothing shines into a ray that has left all that scatters. */
-inline bool is_dark_behind(const __constant Scene *scene, const Ray *ray, const Flight *flight)
+/* What comes from behind all cells of a ray, as the camera sees it: from the ground what the sample's own path has
+ * brought, if its first flight has left the cloud, and else what the table has. */
+inline float radiance_behind(const Medium *medium, const Ray *ray, const Flight *flight, float reach,
+                             float path_radiance, const CameraRay *own)
 {
-#ifdef CLOUDTOMO_ATMOSPHERE
-    return false;
-#else
-    return !flight->collided && !flight->lost && !meets_surface(scene, ray);
+#ifndef CLOUDTOMO_ATMOSPHERE
+    if (!flight->collided && !flight->lost)
+        return meets_surface(medium->scene, ray) && reach > flight->depth ? path_radiance : 0.0f;
 #endif
+    const size_t place = (size_t)own->last * DIRECTION_BINS + own->bin;
+    return own->transmittance * (own->table->source[place] - own->table->scattered[place]);
 }
 
-/* Derivatives of a pixel's radiance by the ray of one sample. */
+/* Derivatives of a pixel's radiance by the ray of one sample, whose path has brought `path_radiance`. */
 inline void deposit_camera_ray(const Medium *medium, const RadianceTable *table, const Ray *from,
-                               const KEPT SampleKey *key, Tally *tally)
+                               const KEPT SampleKey *key, float path_radiance, Tally *tally)
 {
     CameraRay own;
     own.table = table;
@@ -148,20 +151,16 @@ inline void deposit_camera_ray(const Medium *medium, const RadianceTable *table,
     own.total = 0.0f;
     own.last = 0u;
     own.any = false;
-    const float depth = EXPECTED_DEPTH - logarithm(event_uniforms(key, 1u, BLOCK_EVENT).x);
+    const float reach = -logarithm(event_uniforms(key, 1u, BLOCK_EVENT).x); /* of the sample's path, as in walk/path.h */
     Ray ray = *from;
-    const Flight flight = fly_and_gather(medium, &ray, depth + DEPTH_BEHIND, &own);
+    const Flight flight = fly_and_gather(medium, &ray, EXPECTED_DEPTH + reach + DEPTH_BEHIND, &own);
     if (!own.any)
         return;
-    own.total = own.radiance;
-    if (!is_dark_behind(medium->scene, &ray, &flight)) {
-        const size_t place = (size_t)own.last * DIRECTION_BINS + own.bin;
-        own.total += own.transmittance * (table->source[place] - table->scattered[place]);
-    }
+    own.total = own.radiance + radiance_behind(medium, &ray, &flight, reach, path_radiance, &own);
     own.transmittance = 1.0f;
     own.radiance = 0.0f;
     ray = *from;
-    fly_and_deposit_along(medium, &ray, depth, &own, tally);
+    fly_and_deposit_along(medium, &ray, EXPECTED_DEPTH + reach, &own, tally);
 }
 
 #endif

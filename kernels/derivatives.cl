@@ -61,7 +61,8 @@ __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
     }
 }
 
-/* The same for the first flights, by `ray_count` rays of each of the pixels; `weight`: paths for each of them. */
+/* The same for the first flights, by the rays of each pixel's first `ray_count` samples in the launch; `weight`: paths for
+ * each of them. */
 __kernel void gradient_rays(GRADIENT_RAYS_PARAMETERS)
 {
     const size_t item = get_global_id(0);
@@ -71,16 +72,16 @@ __kernel void gradient_rays(GRADIENT_RAYS_PARAMETERS)
         return;
     const uint pixel_in_list = (uint)item / ray_count, n = (uint)item % ray_count;
     const uint2 pixel = pixels[pixel_in_list];
-    const SampleKey own = sample_key(seed, stream, pixel, n);
+    const SampleKey own = sample_key(seed, stream, pixel, first_sample + n);
     Tally tally;
     tally.table = make_table(TABLE_ARGUMENTS);
     tally.gradient = gradient;
     tally.change = change;
-    tally.adjoint = weight * adjoint_of(adjoint, pixel_in_list, n);
+    tally.adjoint = weight * adjoint_of(adjoint, pixel_in_list, first_sample + n);
     tally.tangent = 0.0f;
     keep_key(key, &own);
     const Ray ray = camera_ray(scene, views + pixel.x, rays, &own);
-    deposit_camera_ray(&medium, &tally.table, &ray, key, &tally);
+    deposit_camera_ray(&medium, &tally.table, &ray, key, path_radiance[n * pixel_count + pixel_in_list], &tally);
     ray_tangent[n * pixel_count + pixel_in_list] = weight * tally.tangent;
 }
 

@@ -28,7 +28,8 @@ inline void tally_derivative(int index, int column, float derivative, Tally *tal
 #include "derivatives.h"
 #include "camera_rays.h"
 
-/* The same for the first flights, by `ray_count` rays of each of the pixels; `weight`: paths for each of them. */
+/* The same for the first flights, by the rays of each pixel's first `ray_count` samples in the launch; `weight`: paths for
+ * each of them. */
 __kernel void jacobian_rays(JACOBIAN_RAYS_PARAMETERS)
 {
     const size_t item = get_global_id(0);
@@ -44,13 +45,13 @@ __kernel void jacobian_rays(JACOBIAN_RAYS_PARAMETERS)
     tally.weight = weight;
     const uint pixel_in_list = first_pixel + (uint)item / ray_count, n = (uint)item % ray_count;
     const uint2 pixel = pixels[pixel_in_list];
-    const SampleKey own = sample_key(seed, stream, pixel, n);
+    const SampleKey own = sample_key(seed, stream, pixel, first_sample + n);
     tally.tile = tiles + pixel_in_list;
     tally.near = near_sums + (slot_start[pixel_in_list] - slot_start[first_pixel]);
     tally.far = far_sums + (size_t)pixel_block[pixel_in_list] * block_count;
     keep_key(key, &own);
     const Ray ray = camera_ray(scene, views + pixel.x, rays, &own);
-    deposit_camera_ray(&medium, &tally.table, &ray, key, &tally);
+    deposit_camera_ray(&medium, &tally.table, &ray, key, path_radiance[n * pixel_count + pixel_in_list], &tally);
 }
 
 /* Sums over all paths of a launch of the pixels from first_pixel on. */

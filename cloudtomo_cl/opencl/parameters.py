@@ -141,7 +141,7 @@ KERNELS: dict[str, tuple[str, ...]] = {
         *_TURNS,
     ),
     "gradient_rays": (
-        *PATHS,
+        *_REPLAY,
         *_TABLE,
         "const uint ray_count",  # of each pixel
         "const float weight",
@@ -151,7 +151,7 @@ KERNELS: dict[str, tuple[str, ...]] = {
         "__global float *ray_tangent",
     ),
     "jacobian_rays": (
-        *PATHS,
+        *_REPLAY,
         *_TABLE,
         "const uint ray_count",  # of each pixel
         "const float weight",

@@ -17,6 +17,7 @@ from cloudtomo_cl.transport.radiance import FIXED_POINT_SCALE, RadianceOperator,
 
 # Photons from the sun for each path of the rendering whose derivatives are wanted.
 _PHOTONS_PER_PATH = 1
+# Of them for each ray along which the derivatives of first flights are made.
 _PATHS_PER_RAY = 4
 # Of an entry on the device: its sum, and what becomes of it. On the host, where several ranks add up: their sums.
 _BYTES_PER_ENTRY, _LARGEST_BYTES, _HOST_BYTES = 12, 8, 24
@@ -151,6 +152,7 @@ class RadianceTable:
         return self._photons.fill(rendering._medium, photons, rendering.seed, rendering.stream, places, sums)
 
     def rays(self, rendering: Rendering) -> int:
+        """Of each pixel, along which the derivatives of first flights are made: an even number."""
         return max(2, 2 * round(rendering.samples / 2 / _PATHS_PER_RAY))
 
     @property
@@ -169,23 +171,23 @@ class RadianceTable:
         factors = operator.device.constant((operator.shares.taken(shares) * FIXED_POINT_SCALE).astype(np.float32))
 
         def walk() -> np.ndarray:
-            tangent = np.zeros(len(operator.shares))
+            tangent, rays = np.zeros(len(operator.shares)), self.rays(rendering)
+            weight, pixels = rendering.samples / rays, len(tangent)
             for launch in operator.stored_launches(rendering):
                 paths = operator.device.empty(launch.paths, np.float32)
                 launch.run(
                     self._gradient_paths, **self.buffers, adjoint=factors, change=change, gradient=total,
                     path_tangent=paths,
                 )  # fmt: skip
-                tangent = _added_in_order(tangent, paths.get().reshape(-1, len(tangent)))
-            count = self.rays(rendering)
-            of_rays = operator.device.empty(max(count * len(tangent), 1), np.float32)
-            for launch in operator.stored_launches(rendering):
-                launch.walk(
-                    self._gradient_rays, count * len(tangent), **self.buffers, adjoint=factors, change=change,
-                    gradient=total, ray_tangent=of_rays, ray_count=count, weight=rendering.samples / count,
-                )
-                break
-            return _added_in_order(tangent, of_rays.get().reshape(-1, len(tangent)))
+                tangent = _added_in_order(tangent, paths.get().reshape(-1, pixels))
+                of_rays = operator.device.empty(launch.paths, np.float32)
+                done = launch.run_rays(
+                    self._gradient_rays, pixels, rays, **self.buffers, adjoint=factors, change=change, gradient=total,
+                    ray_tangent=of_rays, weight=weight,
+                )  # fmt: skip
+                tangent = _added_in_order(tangent, of_rays.get()[: done * pixels].reshape(-1, pixels))
+                rays -= done
+            return tangent
 
         tangent = operator.shares.gathered(operator.ranks.together(walk))
         operator.make_total(total)
