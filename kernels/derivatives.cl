@@ -13,7 +13,7 @@ typedef struct {
     float tangent;                /* derivative of the path's radiance along `change`, sr^-1 */
 } Tally;
 
-inline void tally_derivative(int index, int column, float derivative, bool is_first, Tally *tally)
+inline void tally_derivative(int index, int column, float derivative, Tally *tally)
 {
     tally->tangent += derivative * tally->change[index];
     if (tally->adjoint != 0.0f)
@@ -21,6 +21,7 @@ inline void tally_derivative(int index, int column, float derivative, bool is_fi
 }
 
 #include "derivatives.h"
+#include "camera_rays.h"
 
 /* As replay_paths, and the path's derivative along a change; nothing is added to the gradient where the adjoint is 0. */
 __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
@@ -60,6 +61,30 @@ __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
     }
 }
 
+/* The same for the first flights, by the rays of each pixel's first `ray_count` samples in the launch; `weight`: paths for
+ * each of them. */
+__kernel void gradient_rays(GRADIENT_RAYS_PARAMETERS)
+{
+    const size_t item = get_global_id(0);
+    const Medium medium = make_medium(MEDIUM_ARGUMENTS);
+    KEPT_FOR_ITEM(SampleKey, key);
+    if (item >= (size_t)pixel_count * ray_count)
+        return;
+    const uint pixel_in_list = (uint)item / ray_count, n = (uint)item % ray_count;
+    const uint2 pixel = pixels[pixel_in_list];
+    const SampleKey own = sample_key(seed, stream, pixel, first_sample + n);
+    Tally tally;
+    tally.table = make_table(TABLE_ARGUMENTS);
+    tally.gradient = gradient;
+    tally.change = change;
+    tally.adjoint = weight * adjoint_of(adjoint, pixel_in_list, first_sample + n);
+    tally.tangent = 0.0f;
+    keep_key(key, &own);
+    const Ray ray = camera_ray(scene, views + pixel.x, rays, &own);
+    deposit_camera_ray(&medium, &tally.table, &ray, key, path_radiance[n * pixel_count + pixel_in_list], &tally);
+    ray_tangent[n * pixel_count + pixel_in_list] = weight * tally.tangent;
+}
+
 /* Direct sunlight in the table's cells, the mean of 2 x 2 x 2 points of the Gauss-Legendre rule. */
 __kernel void direct_sunlight(DIRECT_SUNLIGHT_PARAMETERS)
 {
@@ -73,7 +98,8 @@ __kernel void direct_sunlight(DIRECT_SUNLIGHT_PARAMETERS)
     const uint3 parts = cells[column].yzw;
     const uint number = (uint)cell - cells[column].x;
     const uint3 part = (uint3)(number / (parts.y * parts.z), number / parts.z % parts.y, number % parts.z);
-    float sum = 0.0f;
+    const float rate = sunlight_rate(scene, extinction[index]);
+    float sum = 0.0f, unit = 0.0f;
     for (int n = 0; n < 8; ++n) {
         Ray ray;
         const float3 side = (float3)(n & 1 ? 1.0f : -1.0f, n & 2 ? 1.0f : -1.0f, n & 4 ? 1.0f : -1.0f);
@@ -82,7 +108,9 @@ __kernel void direct_sunlight(DIRECT_SUNLIGHT_PARAMETERS)
         ray.direction = sun_direction(scene);
         ray.voxel = at;
         ray.inside = true;
+        const float way = scalar_product(ray.direction, (ray.position - convert_float3(at)) * grid_spacing(scene));
+        unit += sunlight_at(rate, way);
         sum += exponential(-fly(&medium, &ray, INFINITY).depth);
     }
-    sunlight[cell] = 0.125f * sum;
+    sunlight[cell] = sum / unit;
 }

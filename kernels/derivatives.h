@@ -16,8 +16,7 @@
  *
  * and what is done with a derivative of the path's radiance (sr^-1 km), by a voxel and its column of the table:
  *
- *   void tally_derivative(int index, int column, float derivative, bool is_first, Tally *tally)
- *       is_first: it comes from the path's first flight
+ *   void tally_derivative(int index, int column, float derivative, Tally *tally)
  */
 #ifndef CLOUDTOMO_DERIVATIVES_H
 #define CLOUDTOMO_DERIVATIVES_H
@@ -32,39 +31,40 @@ typedef struct {
     float throughput;  /* with which the flight's radiance counts in the pixel: of the path, times the flight's share */
     float sun_density; /* of scattering by droplets from the sun into the flight, sr^-1 */
     int bin;           /* of its direction */
-    bool is_first;     /* from the camera */
 } Payload;
 
 /* What more droplets in a cell would send along a flight, less what they would take, sr^-1. */
-inline float cell_source(const RadianceTable *table, uint cell, Payload payload)
+inline float cell_source(const RadianceTable *table, uint cell, float sunlight, Payload payload)
 {
-    return table->scattered[cell * DIRECTION_BINS + payload.bin] + payload.sun_density * table->sunlight[cell];
+    return table->scattered[cell * DIRECTION_BINS + payload.bin] + payload.sun_density * sunlight * table->sunlight[cell];
 }
 
 inline void deposit_crossing(const __constant Scene *scene, const Ray *ray, const VoxelWalk *walk, float length,
-                             Payload payload, Tally *tally)
+                             float droplets, Payload payload, Tally *tally)
 {
     const RadianceTable *table = &tally->table;
     const int index = walk->index, column = table->column[index];
     if (column < 0)
         return;
     const uint4 cells = table->cells[column];
+    const SunlightWalk sun = walk_sunlight(scene, ray, walk->distance, length, droplets);
     float sources = 0.0f; /* times their lengths */
     if (is_whole(cells)) {
-        sources = length * cell_source(table, cells.x, payload);
+        sources = length * cell_source(table, cells.x, mean_sunlight(&sun, 0.0f, length), payload);
     } else {
         CellWalk part = walk_cells(scene, cells, ray, walk->distance, length);
         while (part.from < length) {
-            const float source = cell_source(table, part.cell, payload);
-            sources += leave_cell(&part, length) * source;
+            const uint cell = part.cell;
+            const float from = part.from, crossed = leave_cell(&part, length);
+            sources += crossed * cell_source(table, cell, mean_sunlight(&sun, from, crossed), payload);
         }
     }
-    tally_derivative(index, column, payload.throughput * sources, payload.is_first, tally);
+    tally_derivative(index, column, payload.throughput * sources, tally);
 }
 
 #define TRAVERSAL fly_and_deposit
 #define TRAVERSAL_CONTEXT , Payload payload, Tally *tally
-#define CROSSES(index, length) deposit_crossing(scene, ray, &walk, length, payload, tally)
+#define CROSSES(index, length) deposit_crossing(scene, ray, &walk, length, droplets, payload, tally)
 #define SKIPS()
 #include "walk/traversal.h"
 
@@ -73,7 +73,7 @@ inline void deposit_shadow(int index, float length, float radiance, Tally *tally
 {
     const int column = tally->table.column[index];
     if (column >= 0)
-        tally_derivative(index, column, length * -radiance, false, tally);
+        tally_derivative(index, column, length * -radiance, tally);
 }
 
 #define TRAVERSAL fly_to_sun
@@ -88,12 +88,13 @@ inline Payload payload_of(const Medium *medium, const Segment *segment, float sh
     payload.throughput = share * segment->throughput;
     payload.sun_density = sun_density(medium, segment->start.direction);
     payload.bin = direction_bin(segment->start.direction);
-    payload.is_first = segment->event == 1u;
     return payload;
 }
 
 inline Flight tally_fly(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)
 {
+    if (segment->event == 1u) /* camera_rays.h */
+        return fly(medium, ray, segment->optical_depth);
     return fly_and_deposit(medium, ray, segment->optical_depth, payload_of(medium, segment, tally->own_share), tally);
 }
 

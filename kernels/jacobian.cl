@@ -9,6 +9,7 @@ typedef struct {
     float radiance, own_share; /* of walk/radiance.h */
     float total;
     RadianceTable table;
+    float weight;
     const __constant Scene *scene;
     const __global Tile *tile;
     const __global ushort4 *place;       /* of every column: voxel */
@@ -17,14 +18,41 @@ typedef struct {
     volatile __global Accumulator *far;  /* [block]: the pixel block's */
 } Tally;
 
-inline void tally_derivative(int index, int column, float derivative, bool is_first, Tally *tally)
+inline void tally_derivative(int index, int column, float derivative, Tally *tally)
 {
     const int slot = tile_slot(tally->scene, tally->tile, convert_int3(tally->place[column].xyz));
     volatile __global Accumulator *sum = slot >= 0 ? tally->near + slot : tally->far + tally->block[column];
-    accumulate(sum, DERIVATIVE_UNIT * derivative);
+    accumulate(sum, DERIVATIVE_UNIT * tally->weight * derivative);
 }
 
 #include "derivatives.h"
+#include "camera_rays.h"
+
+/* The same for the first flights, by the rays of each pixel's first `ray_count` samples in the launch; `weight`: paths for
+ * each of them. */
+__kernel void jacobian_rays(JACOBIAN_RAYS_PARAMETERS)
+{
+    const size_t item = get_global_id(0);
+    const Medium medium = make_medium(MEDIUM_ARGUMENTS);
+    KEPT_FOR_ITEM(SampleKey, key);
+    if (item >= (size_t)row_count * ray_count)
+        return;
+    Tally tally;
+    tally.table = make_table(TABLE_ARGUMENTS);
+    tally.scene = scene;
+    tally.place = place;
+    tally.block = block;
+    tally.weight = weight;
+    const uint pixel_in_list = first_pixel + (uint)item / ray_count, n = (uint)item % ray_count;
+    const uint2 pixel = pixels[pixel_in_list];
+    const SampleKey own = sample_key(seed, stream, pixel, first_sample + n);
+    tally.tile = tiles + pixel_in_list;
+    tally.near = near_sums + (slot_start[pixel_in_list] - slot_start[first_pixel]);
+    tally.far = far_sums + (size_t)pixel_block[pixel_in_list] * block_count;
+    keep_key(key, &own);
+    const Ray ray = camera_ray(scene, views + pixel.x, rays, &own);
+    deposit_camera_ray(&medium, &tally.table, &ray, key, path_radiance[n * pixel_count + pixel_in_list], &tally);
+}
 
 /* Sums over all paths of a launch of the pixels from first_pixel on. */
 __kernel void jacobian_paths(JACOBIAN_PATHS_PARAMETERS)
@@ -39,6 +67,7 @@ __kernel void jacobian_paths(JACOBIAN_PATHS_PARAMETERS)
     tally.scene = scene;
     tally.place = place;
     tally.block = block;
+    tally.weight = 1.0f;
     for (bool walks = false;;) {
         if (!walks) {
             if (!next_turn(&turn))

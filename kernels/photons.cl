@@ -119,11 +119,13 @@ __kernel void tabulate(TABULATE_PARAMETERS)
     if (cell >= count)
         return;
     const __global Accumulator *sums = table_sums + (size_t)cell * DIRECTION_BINS;
-    float source = 0.0f;
+    float sum = 0.0f;
     for (uint from = 0; from < DIRECTION_BINS; ++from)
-        source += (float)sums[from] * scattering[from * DIRECTION_BINS + bin];
+        sum += (float)sums[from] * scattering[from * DIRECTION_BINS + bin];
     if (has_overflowed(sums[bin]))
         atomic_inc(overflown);
     const uint3 parts = cells[cell_column[cell]].yzw;
-    scattered[place] = unit * (float)(parts.x * parts.y * parts.z) * source;
+    const float radiance = unit * (float)(parts.x * parts.y * parts.z);
+    source[place] = radiance * sum;
+    scattered[place] = radiance * (sum - (float)sums[bin] / solid_angle[bin]);
 }

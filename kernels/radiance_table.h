@@ -7,6 +7,7 @@
 #define CLOUDTOMO_RADIANCE_TABLE_H
 
 #include "walk/grid.h"
+#include "walk/medium.h"
 #include "walk/phase.h"
 
 __constant float ring_cosine[DIRECTION_RINGS + 1] = {RING_COSINES}; /* edges, from 1 down to -1 */
@@ -26,15 +27,68 @@ typedef struct {
     const __global int *column;      /* of every voxel in the table, or -1 */
     const __global uint4 *cells;     /* of every column: its first cell, and parts along x, y, z */
     const __global float *scattered; /* [cell][bin]: source - radiance, sr^-1 */
-    const __global float *sunlight;  /* [cell]: direct, share of the irradiance */
+    const __global float *sunlight;  /* [cell]: direct, share of the irradiance, in units of sunlight_at */
+    const __global float *source;    /* [cell][bin]: what droplets scatter of diffuse light, sr^-1 */
 } RadianceTable;
 
-#define TABLE_ARGUMENTS column, cells, scattered, sunlight
+#define TABLE_ARGUMENTS column, cells, scattered, sunlight, source
 inline RadianceTable make_table(const __global int *column, const __global uint4 *cells,
-                                const __global float *scattered, const __global float *sunlight)
+                                const __global float *scattered, const __global float *sunlight,
+                                const __global float *source)
 {
-    const RadianceTable table = {column, cells, scattered, sunlight};
+    const RadianceTable table = {column, cells, scattered, sunlight, source};
     return table;
+}
+
+/* Direct sunlight changes within a cell as exp(rate x way towards the sun), km^-1: the way out of its own voxel is
+ * shorter. Where that is little it is constant. */
+#define LEAST_CHANGE 0.1f
+#define MOST_CHANGE 30.0f
+#define LITTLE 0.01f /* for a series of two terms */
+inline float sunlight_rate(const __constant Scene *scene, float droplets)
+{
+    const float3 spacing = grid_spacing(scene);
+    const float size = spacing.x + spacing.y + spacing.z;
+    return droplets * size < LEAST_CHANGE ? 0.0f : lesser(droplets, MOST_CHANGE / size);
+}
+
+/* The exponential of any number. */
+inline float growth(float a)
+{
+    const float falls = exponential(-magnitude(a));
+    return a > 0.0f ? 1.0f / falls : falls;
+}
+
+/* In units of what it has in the voxel's lower corner; `way`: from there towards the sun, km. */
+inline float sunlight_at(float rate, float way) { return rate == 0.0f ? 1.0f : growth(rate * way); }
+
+/* Direct sunlight along a crossing of a voxel. */
+typedef struct {
+    float rate, way, slope; /* way: of the crossing's start; slope: of the way, along it */
+} SunlightWalk;
+
+inline SunlightWalk walk_sunlight(const __constant Scene *scene, const Ray *ray, float begin, float length,
+                                  float droplets)
+{
+    SunlightWalk walk = {sunlight_rate(scene, droplets), 0.0f, 0.0f};
+    if (walk.rate == 0.0f)
+        return walk;
+    const float3 spacing = grid_spacing(scene), slope = ray->direction / spacing;
+    const float3 corner = floor(ray->position + (begin + 0.5f * length) * slope);
+    const float3 sun = sun_direction(scene);
+    walk.way = scalar_product(sun, (ray->position + begin * slope - corner) * spacing);
+    walk.slope = scalar_product(sun, ray->direction);
+    return walk;
+}
+
+/* Its mean over `length` km from `from` km on. */
+inline float mean_sunlight(const SunlightWalk *walk, float from, float length)
+{
+    if (walk->rate == 0.0f)
+        return 1.0f;
+    const float more = walk->rate * walk->slope * length;
+    const float mean = magnitude(more) < LITTLE ? 1.0f + 0.5f * more : (growth(more) - 1.0f) / more;
+    return growth(walk->rate * (walk->way + walk->slope * from)) * mean;
 }
 
 /* A walk along a crossing of a voxel, from cell to cell. */

@@ -49,6 +49,7 @@ _TABLE = (
     "const __global uint4 *cells",  # of every column: its first cell, and parts along x, y, z
     "const __global float *scattered",  # [cell][bin]: source - radiance, sr^-1
     "const __global float *sunlight",  # [cell]: direct, share of the irradiance
+    "const __global float *source",  # [cell][bin]: what droplets scatter of diffuse light, sr^-1
 )
 _STARTS = (  # of photons
     *MEDIUM,
@@ -138,6 +139,29 @@ KERNELS: dict[str, tuple[str, ...]] = {
         "volatile __global Accumulator *gradient",
         "__global float *path_tangent",  # each path's derivative along the change, sr^-1
         *_TURNS,
+    ),
+    "gradient_rays": (
+        *_REPLAY,
+        *_TABLE,
+        "const uint ray_count",  # of each pixel
+        "const float weight",
+        "const __global float2 *adjoint",
+        "const __global float *change",
+        "volatile __global Accumulator *gradient",
+        "__global float *ray_tangent",
+    ),
+    "jacobian_rays": (
+        *_REPLAY,
+        *_TABLE,
+        "const uint ray_count",  # of each pixel
+        "const float weight",
+        *_ROWS,
+        "const __global ushort4 *place",
+        "const __global int *block",
+        "const __global uint *pixel_block",
+        "const uint block_count",
+        "volatile __global Accumulator *near_sums",
+        "volatile __global Accumulator *far_sums",
     ),
     "jacobian_paths": (
         *_REPLAY,
@@ -246,12 +270,14 @@ KERNELS: dict[str, tuple[str, ...]] = {
     ),
     "tabulate": (
         "const __global Accumulator *table_sums",
-        "const __global float *scattering",  # [from bin][into bin]: scattered light less radiance
+        "const __global float *scattering",  # [from bin][into bin]: scattered light
+        "const __global float *solid_angle",  # of every bin, sr
         "const __global uint4 *cells",
         "const __global int *cell_column",
         "const uint count",
         "const float unit",  # of the sums in a whole voxel
         "__global float *scattered",
+        "__global float *source",
         "volatile __global uint *overflown",  # number of sums
     ),
     "direct_sunlight": (

@@ -9,6 +9,8 @@ import numpy as np
 # A cell is so deep at most, in optical depths divided by 1 - g, along every axis: light hardly changes within.
 _DEPTH = 0.25
 _LEAST_DEPTH = 0.5
+# Light changes fast below the cloud's surface. Inside, cells may be deeper, by so much for an optical depth of 1 / (1 - g).
+_COARSENING = 2.0
 # Parts along an axis at most, and cells in all: for so many voxels, and in any case.
 _MOST_PARTS = 8
 _MOST_PER_VOXEL, _ALWAYS = 3, 10_000
@@ -36,7 +38,13 @@ class Cells:
         return cls(np.ones((voxels, 3), np.int32))
 
     @classmethod
-    def of(cls, extinction: np.ndarray, spacing: tuple[float, float, float], asymmetry: float) -> Cells:
+    def of(
+        cls,
+        extinction: np.ndarray,
+        spacing: tuple[float, float, float],
+        asymmetry: float,
+        within: np.ndarray | float = 0.0,
+    ) -> Cells:
         """Cells in which light does not change much, as far as there may be so many.
 
         Parameters
@@ -44,12 +52,14 @@ class Cells:
         extinction : km^-1, shape (voxels,)
         spacing : of the voxels, km
         asymmetry : of the droplets' phase function
+        within : optical depth of the cloud between a voxel and the outside, shape (voxels,): see `depth_within`
         """
         depth = np.asarray(extinction, float)[:, None] * np.asarray(spacing)
         limit = max(_DEPTH / max(1 - asymmetry, 1e-6), _LEAST_DEPTH)
         limit = min(limit, _DEPTH * _MOST_PARTS)
+        coarser = np.broadcast_to(1 + _COARSENING * (1 - asymmetry) * np.asarray(within), len(depth))[:, None]
         while True:
-            parts = np.clip(np.ceil(depth / limit), 1, _MOST_PARTS)
+            parts = np.clip(np.ceil(depth / (limit * coarser)), 1, _MOST_PARTS)
             if parts.prod(axis=1).sum() <= most_cells(len(depth)):
                 return cls(parts.astype(np.int32))
             limit *= 1.25
@@ -76,3 +86,20 @@ class Cells:
     def places(self) -> np.ndarray:
         """First cell and parts along x, y, z of every voxel, as kernels take them: uint32, shape (voxels, 4)."""
         return np.column_stack([self.first, self.parts]).astype(np.uint32)
+
+
+def depth_within(extinction: np.ndarray, spacing: tuple[float, float, float], periodic: bool) -> np.ndarray:
+    """Optical depth of the cloud between every voxel and the outside, the least along the axes.
+
+    Parameters
+    ----------
+    extinction : km^-1, shape of the grid
+    periodic : whether there is no outside along x and y
+    """
+    least = np.full(extinction.shape, np.inf)
+    for axis in (2,) if periodic else (0, 1, 2):
+        depth = np.asarray(extinction, float) * spacing[axis]
+        until = np.cumsum(depth, axis=axis)
+        total = np.take(until, [-1], axis=axis)
+        least = np.minimum(least, np.minimum(until - depth, total - until))
+    return np.maximum(least, 0.0)

@@ -10,13 +10,15 @@ from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.fixed_point import summed
 from cloudtomo_cl.opencl.memory import Footprint
-from cloudtomo_cl.transport.cells import Cells, most_cells
+from cloudtomo_cl.transport.cells import Cells, depth_within, most_cells
 from cloudtomo_cl.transport.directions import BINS, FEATURES, scattering_matrix, solid_angles
 from cloudtomo_cl.transport.photons import Photons
 from cloudtomo_cl.transport.radiance import FIXED_POINT_SCALE, RadianceOperator, Rendering, largest_adjoint
 
 # Photons from the sun for each path of the rendering whose derivatives are wanted.
 _PHOTONS_PER_PATH = 1
+# Of them for each ray along which the derivatives of first flights are made.
+_PATHS_PER_RAY = 4
 # Of an entry on the device: its sum, and what becomes of it. On the host, where several ranks add up: their sums.
 _BYTES_PER_ENTRY, _LARGEST_BYTES, _HOST_BYTES = 12, 8, 24
 # Kernels count the table's entries with signed integers of 32 bits.
@@ -82,8 +84,10 @@ class RadianceTable:
         # Of a phase table the middle row stands for all: it is what flights to the sun are drawn from.
         albedos = getattr(cloud.phase_function, "single_scattering_albedo", None) or (cloud.single_scattering_albedo,)
         self._albedo = albedos[len(albedos) // 2]
-        droplets = self._albedo * scattering_matrix(cloud.phase_function) - np.eye(BINS)
+        droplets = self._albedo * scattering_matrix(cloud.phase_function)
         self._scattering = device.constant((droplets / solid_angles()).T.astype(np.float32))
+        self._solid_angle = device.constant(solid_angles().astype(np.float32))
+        self._gradient_rays = device.kernel("derivatives", "gradient_rays", features)
 
     def gradient(self, rendering: Rendering, adjoint: np.ndarray, change: Any) -> tuple[Any, np.ndarray]:
         """The gradient of a cost with respect to extinction; as `RadianceOperator.gradient`.
@@ -111,8 +115,9 @@ class RadianceTable:
         """
         operator, device, scene = self._operator, self._operator.device, self._operator.scene
         medium = rendering._medium
-        extinction = medium.extinction.get()[self._mask]
-        divided = Cells.of(extinction, scene.grid.spacing, scene.cloud.phase_function.g)
+        extinction, spacing = medium.extinction.get(), scene.grid.spacing
+        within = depth_within(extinction, spacing, scene.boundary.horizontal == "periodic")[self._mask]
+        divided = Cells.of(extinction[self._mask], spacing, scene.cloud.phase_function.g, within)
         self.cells = len(divided)
         self._places = device.constant(divided.places)
         sums = device.zeros((self.cells, BINS), np.int64)
@@ -122,10 +127,11 @@ class RadianceTable:
         cell_column = device.constant(divided.voxel.astype(np.int32))
         overflown = device.zeros(1, np.uint32)
         self._scattered = device.empty((self.cells, BINS), np.float32)
+        self._source = device.empty((self.cells, BINS), np.float32)
         device.launch(
             self._tabulate, self.cells * BINS, table_sums=sums, scattering=self._scattering, cells=self._places,
             cell_column=cell_column, count=self.cells, unit=unit / float(np.prod(scene.grid.spacing)),
-            scattered=self._scattered, overflown=overflown,
+            scattered=self._scattered, source=self._source, solid_angle=self._solid_angle, overflown=overflown,
         )  # fmt: skip
         if overflown.get()[0]:
             raise TransportError(
@@ -145,11 +151,16 @@ class RadianceTable:
         places = {"column": self.column, "cells": self._places}
         return self._photons.fill(rendering._medium, photons, rendering.seed, rendering.stream, places, sums)
 
+    def rays(self, rendering: Rendering) -> int:
+        """Of each pixel, along which the derivatives of first flights are made: an even number."""
+        return max(2, 2 * round(rendering.samples / 2 / _PATHS_PER_RAY))
+
     @property
     def buffers(self) -> dict[str, Any]:
         """The table as kernels take it."""
         return {
             "column": self.column, "cells": self._places, "scattered": self._scattered, "sunlight": self._sunlight,
+            "source": self._source,
         }  # fmt: skip
 
     def _walk(self, rendering: Rendering, adjoint: np.ndarray, change: Any) -> tuple[Any, np.ndarray]:
@@ -160,14 +171,22 @@ class RadianceTable:
         factors = operator.device.constant((operator.shares.taken(shares) * FIXED_POINT_SCALE).astype(np.float32))
 
         def walk() -> np.ndarray:
-            tangent = np.zeros(len(operator.shares))
+            tangent, rays = np.zeros(len(operator.shares)), self.rays(rendering)
+            weight, pixels = rendering.samples / rays, len(tangent)
             for launch in operator.stored_launches(rendering):
                 paths = operator.device.empty(launch.paths, np.float32)
                 launch.run(
                     self._gradient_paths, **self.buffers, adjoint=factors, change=change, gradient=total,
                     path_tangent=paths,
                 )  # fmt: skip
-                tangent = _added_in_order(tangent, paths.get().reshape(-1, len(tangent)))
+                tangent = _added_in_order(tangent, paths.get().reshape(-1, pixels))
+                of_rays = operator.device.empty(launch.paths, np.float32)
+                done = launch.run_rays(
+                    self._gradient_rays, pixels, rays, **self.buffers, adjoint=factors, change=change, gradient=total,
+                    ray_tangent=of_rays, weight=weight,
+                )  # fmt: skip
+                tangent = _added_in_order(tangent, of_rays.get()[: done * pixels].reshape(-1, pixels))
+                rays -= done
             return tangent
 
         tangent = operator.shares.gathered(operator.ranks.together(walk))

@@ -9,9 +9,9 @@ import numpy as np
 from cloudtomo_cl.scene.phase import PhaseFunction
 
 # Rings of directions around the vertical, degrees from it, and their azimuths: cells of about
-# 0.17 sr, smaller near the vertical.
-EDGES = (0.0, 8.0, 16.0, 28.0, 42.0, 60.0, 80.0, 100.0, 125.0, 150.0, 180.0)
-AZIMUTHS = (1, 4, 6, 8, 10, 12, 12, 10, 8, 4)
+# 0.09 sr, smaller near the vertical.
+EDGES = (0.0, 7.0, 17.0, 28.0, 40.0, 52.0, 65.0, 78.0, 90.0, 102.0, 115.0, 128.0, 140.0, 152.0, 163.0, 173.0, 180.0)
+AZIMUTHS = (1, 4, 6, 8, 10, 13, 14, 14, 14, 14, 13, 10, 8, 6, 4, 1)
 _FIRST = tuple(int(first) for first in np.concatenate([[0], np.cumsum(AZIMUTHS)[:-1]]))
 BINS = sum(AZIMUTHS)
 # What kernels are built with.

@@ -316,13 +316,18 @@ class JacobianSums:
         self, rendering: Rendering, first: int, count: int, near_sums: DeviceArray, far_sums: DeviceArray
     ) -> None:
         own = self.structure
-        kernel = self._operator.device.kernel("jacobian", "jacobian_paths", self._table.features)
+        device, features = self._operator.device, self._table.features
+        paths, rays = (device.kernel("jacobian", name, features) for name in ("jacobian_paths", "jacobian_rays"))
+        left = self._table.rays(rendering)
+        weight = rendering.samples / left
+        arguments = self._table.buffers | {
+            "tiles": own.tiles, "slot_start": own.slot_start, "first_pixel": first, "row_count": count,
+            "place": own.place, "block": own.block, "pixel_block": own.pixel_block,
+            "block_count": len(own.voxel_blocks), "near_sums": near_sums, "far_sums": far_sums,
+        }  # fmt: skip
         for launch in self._operator.stored_launches(rendering):
-            launch.run_rows(
-                kernel, count, **self._table.buffers, tiles=own.tiles, slot_start=own.slot_start, first_pixel=first,
-                row_count=count, place=own.place, block=own.block, pixel_block=own.pixel_block,
-                block_count=len(own.voxel_blocks), near_sums=near_sums, far_sums=far_sums,
-            )  # fmt: skip
+            launch.run_rows(paths, count, **arguments)
+            left -= launch.run_rays(rays, count, left, weight=weight, **arguments)
 
     def _rows(self) -> list[tuple[int, int]]:
         """Pixels whose sums are made at a time: the first, and how many."""

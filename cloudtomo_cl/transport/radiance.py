@@ -122,6 +122,13 @@ class StoredLaunch:
         """Runs a kernel that walks other paths of the same pixels: it knows nothing of the stored ones."""
         self._pace.device.launch(kernel, work_items, **self._walk, **arguments)
 
+    def run_rays(self, kernel: Any, pixels: int, most: int, **arguments: Any) -> int:
+        """Runs a kernel on rays of so many of the pixels: of their first samples here, `most` at most; returns that number."""
+        rays = min(most, self._samples)
+        if rays:
+            self._pace.device.launch(kernel, pixels * rays, **self._arguments, **arguments, ray_count=rays)
+        return rays
+
     def run_rows(self, kernel: Any, pixels: int, **arguments: Any) -> None:
         """Runs a kernel on the paths of so many of the pixels (`first_pixel` is among the arguments)."""
         self._pace.launch(kernel, pixels * self._samples, **self._arguments, **arguments)

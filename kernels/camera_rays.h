@@ -1,0 +1,166 @@
+/* Derivatives along the first flights of paths from cameras: by the source function along their rays.
+ *
+ * All light of a pixel comes along its ray, and what a table has of it in the ray's own bin of directions is noisy.
+ * Its source function is not, for droplets scatter from many bins. So along rays from the cameras the radiance is what
+ * the source function before it sends, with what the table has for the radiance where the ray is left:
+ *
+ *     R = sum over the cells of S_k (exp(-t_{k-1}) - exp(-t_k)) + exp(-t_n) radiance,
+ *
+ * with t the optical depth of droplets from the camera on to a cell's end. A little more of droplets in cell k, l km
+ * long, changes that by l (S_k exp(-t_k) - R_{>k}), R_{>k} being what comes from behind the cell.
+ *
+ * A first traversal sums up R, a second one deposits. Up to EXPECTED_DEPTH all counts in full; from there on flights
+ * end as those of paths do, and what they bring counts for those that have ended. Air takes from what arrives, but is
+ * no source here: what it scatters into a ray and out of it is nearly the same.
+ *
+ * The including file defines what derivatives.h says. */
+#ifndef CLOUDTOMO_CAMERA_RAYS_H
+#define CLOUDTOMO_CAMERA_RAYS_H
+
+#include "radiance_table.h"
+#include "walk/path.h"
+
+/* Optical depths: up to which flights do not end; beyond their end, up to which light is followed. */
+#define EXPECTED_DEPTH 2.0f
+#define DEPTH_BEHIND 2.0f
+
+typedef struct {
+    const RadianceTable *table;
+    float sun_density; /* of scattering by droplets from the sun into the ray, sr^-1 */
+    int bin;
+    float transmittance; /* of droplets, so far */
+    float radiance;      /* of the cells so far */
+    float total;         /* R */
+    uint last;           /* cell */
+    bool any;            /* whether there has been one */
+} CameraRay;
+
+inline float ray_source(const CameraRay *own, uint cell, float sunlight)
+{
+    return own->table->source[cell * DIRECTION_BINS + own->bin]
+           + own->sun_density * sunlight * own->table->sunlight[cell];
+}
+
+/* Steps that cells are crossed in: sunlight changes in them. */
+#define STEP_DEPTH 0.3f
+#define MOST_STEPS 8.0f
+inline float steps_of(float depth) { return within(ceil(depth / STEP_DEPTH), 1.0f, MOST_STEPS); }
+
+/* Across `length` km of a cell. */
+inline void cross_part(float length, float source, float droplets, CameraRay *own)
+{
+    const float left = own->transmittance * exponential(-droplets * length);
+    own->radiance += source * (own->transmittance - left);
+    own->transmittance = left;
+}
+
+/* Mean of exp(greater(t - EXPECTED_DEPTH, 0)) over the depths from a to b: flights that have got so far, for all. */
+inline float all_flights(float a, float b)
+{
+    const float from = greater(a - EXPECTED_DEPTH, 0.0f), until = greater(b - EXPECTED_DEPTH, 0.0f);
+    return growth(0.5f * (from + until));
+}
+
+/* Across a cell; returns what is deposited there. */
+inline float cross_cell(uint cell, float from, float length, const SunlightWalk *sun, float droplets, float extinction,
+                        float depth, CameraRay *own)
+{
+    const float steps = sun->rate == 0.0f ? 1.0f : steps_of(droplets * length), step = length / steps;
+    float sum = 0.0f;
+    for (float n = 0.0f; n < steps; n += 1.0f) {
+        const float source = ray_source(own, cell, mean_sunlight(sun, from + n * step, step));
+        cross_part(step, source, droplets, own);
+        const float next = depth + extinction * step;
+        sum += step * (source * own->transmittance - (own->total - own->radiance)) * all_flights(depth, next);
+        depth = next;
+    }
+    own->last = cell;
+    own->any = true;
+    return sum;
+}
+
+/* Across a voxel. `depth`: of droplets and air, where the crossing begins; `extinction`: of both */
+inline float cross_voxel(const __constant Scene *scene, const Ray *ray, const VoxelWalk *walk, float length,
+                         float droplets, float extinction, float depth, CameraRay *own)
+{
+    const int column = own->table->column[walk->index];
+    if (column < 0)
+        return 0.0f;
+    const uint4 cells = own->table->cells[column];
+    const SunlightWalk sun = walk_sunlight(scene, ray, walk->distance, length, droplets);
+    if (is_whole(cells))
+        return cross_cell(cells.x, 0.0f, length, &sun, droplets, extinction, depth, own);
+    float sum = 0.0f;
+    CellWalk part = walk_cells(scene, cells, ray, walk->distance, length);
+    while (part.from < length) {
+        const uint cell = part.cell;
+        const float from = part.from, crossed = leave_cell(&part, length);
+        sum += cross_cell(cell, from, crossed, &sun, droplets, extinction, depth, own);
+        depth += extinction * crossed;
+    }
+    return sum;
+}
+
+#define TRAVERSAL fly_and_gather
+#define TRAVERSAL_CONTEXT , CameraRay *own
+#define CROSSES(index, length) cross_voxel(scene, ray, &walk, length, droplets, extinction, flight.depth, own)
+#define SKIPS()
+#include "walk/traversal.h"
+
+inline void deposit_along_ray(const __constant Scene *scene, const Ray *ray, const VoxelWalk *walk, float length,
+                              float droplets, float extinction, float depth, CameraRay *own, Tally *tally)
+{
+    const int column = own->table->column[walk->index];
+    if (column < 0)
+        return;
+    const float air = exponential(-depth) / own->transmittance;
+    const float sum = cross_voxel(scene, ray, walk, length, droplets, extinction, depth, own);
+    tally_derivative(walk->index, column, air * sum, tally);
+}
+
+#define TRAVERSAL fly_and_deposit_along
+#define TRAVERSAL_CONTEXT , CameraRay *own, Tally *tally
+#define CROSSES(index, length) \
+    deposit_along_ray(scene, ray, &walk, length, droplets, extinction, flight.depth, own, tally)
+#define SKIPS()
+#include "walk/traversal.h"
+
+/* What comes from behind all cells of a ray, as the camera sees it: from the ground what the sample's own path has
+ * brought, if its first flight has left the cloud, and else what the table has. */
+inline float radiance_behind(const Medium *medium, const Ray *ray, const Flight *flight, float reach,
+                             float path_radiance, const CameraRay *own)
+{
+#ifndef CLOUDTOMO_ATMOSPHERE
+    if (!flight->collided && !flight->lost)
+        return meets_surface(medium->scene, ray) && reach > flight->depth ? path_radiance : 0.0f;
+#endif
+    const size_t place = (size_t)own->last * DIRECTION_BINS + own->bin;
+    return own->transmittance * (own->table->source[place] - own->table->scattered[place]);
+}
+
+/* Derivatives of a pixel's radiance by the ray of one sample, whose path has brought `path_radiance`. */
+inline void deposit_camera_ray(const Medium *medium, const RadianceTable *table, const Ray *from,
+                               const KEPT SampleKey *key, float path_radiance, Tally *tally)
+{
+    CameraRay own;
+    own.table = table;
+    own.sun_density = sun_density(medium, from->direction);
+    own.bin = direction_bin(from->direction);
+    own.transmittance = 1.0f;
+    own.radiance = 0.0f;
+    own.total = 0.0f;
+    own.last = 0u;
+    own.any = false;
+    const float reach = -logarithm(event_uniforms(key, 1u, BLOCK_EVENT).x); /* of the sample's path, as in walk/path.h */
+    Ray ray = *from;
+    const Flight flight = fly_and_gather(medium, &ray, EXPECTED_DEPTH + reach + DEPTH_BEHIND, &own);
+    if (!own.any)
+        return;
+    own.total = own.radiance + radiance_behind(medium, &ray, &flight, reach, path_radiance, &own);
+    own.transmittance = 1.0f;
+    own.radiance = 0.0f;
+    ray = *from;
+    fly_and_deposit_along(medium, &ray, EXPECTED_DEPTH + reach, &own, tally);
+}
+
+#endif
