@@ -151,7 +151,8 @@ inline void deposit_camera_ray(const Medium *medium, const RadianceTable *table,
     own.total = 0.0f;
     own.last = 0u;
     own.any = false;
-    const float reach = -logarithm(event_uniforms(key, 1u, BLOCK_EVENT).x); /* of the sample's path, as in walk/path.h */
+    const float reach =
+        -logarithm(event_uniforms(key, 1u, BLOCK_EVENT).x); /* of the sample's path, as in walk/path.h */
     Ray ray = *from;
     const Flight flight = fly_and_gather(medium, &ray, EXPECTED_DEPTH + reach + DEPTH_BEHIND, &own);
     if (!own.any)

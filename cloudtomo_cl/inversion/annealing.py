@@ -16,6 +16,8 @@ from cloudtomo_cl.inversion.terms import term_of
 
 # Shares of the weight of a prior that chooses, one minimised with after the other (docs/decisions/patch-prior.md).
 _SHARES = (0.03, 0.06, 0.12, 0.24, 0.48, 1.0, 1.0)
+# Begun where nothing is less than this share of the cloud's mean extinction.
+_FLOOR = 0.1
 # Of the iterations of a minimisation, the share of one of these.
 _EACH = 0.5
 # How often a step is minimised again because the cloud's mean extinction has changed, by more than this share.
@@ -59,13 +61,13 @@ def annealed(inner: InnerProblem, start: np.ndarray) -> np.ndarray:
     """With a prior that chooses by the extinction what it is: from above.
 
     Begun at the last minimum, such a prior chooses what makes that likelier still, and every choice makes the cloud
-    smoother. So each step begins anew, at a cloud without shape, with a weak prior, whose choice the images decide;
-    and its weight rises to 1 while it chooses again and again (deterministic annealing: Rose 1998; a rising coupling
-    does the same in Zoran and Weiss 2011).
+    smoother. So each step begins with a weak prior, whose choice the images decide; and its weight rises to 1 while it
+    chooses again and again (deterministic annealing: Rose 1998; a rising coupling does the same in Zoran and Weiss
+    2011). It begins at the last cloud with no voxel clear: what the images do not say stays about what it was.
 
-    start : km^-1, shape (voxels,), of which the mean counts
+    start : km^-1, shape (voxels,)
     """
-    extinction = np.full_like(start, start.mean())
+    extinction = np.maximum(start, _FLOOR * mean_extinction(start))
     for share in _SHARES:
         extinction = inner.least(extinction, share, _EACH)
     return extinction

@@ -9,7 +9,8 @@ import numpy as np
 # A cell is so deep at most, in optical depths divided by 1 - g, along every axis: light hardly changes within.
 _DEPTH = 0.25
 _LEAST_DEPTH = 0.5
-# Light changes fast below the cloud's surface. Inside, cells may be deeper, by so much for an optical depth of 1 / (1 - g).
+# Light changes fast below the cloud's surface. Inside, cells may be deeper, by so much for an optical depth of
+# 1 / (1 - g).
 _COARSENING = 2.0
 # Parts along an axis at most, and cells in all: for so many voxels, and in any case.
 _MOST_PARTS = 8

@@ -19,8 +19,9 @@ from cloudtomo_cl.transport.radiance import FIXED_POINT_SCALE, RadianceOperator,
 _PHOTONS_PER_PATH = 1
 # Of them for each ray along which the derivatives of first flights are made.
 _PATHS_PER_RAY = 4
-# Of an entry on the device: its sum, and what becomes of it. On the host, where several ranks add up: their sums.
-_BYTES_PER_ENTRY, _LARGEST_BYTES, _HOST_BYTES = 12, 8, 24
+# Of an entry on the device: its sum, and the two numbers that become of it. On the host, where several ranks add up:
+# their sums.
+_BYTES_PER_ENTRY, _LARGEST_BYTES, _HOST_BYTES = 16, 8, 24
 # Kernels count the table's entries with signed integers of 32 bits.
 _MOST_ENTRIES = 2**31 - 1
 

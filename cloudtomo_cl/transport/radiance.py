@@ -123,7 +123,10 @@ class StoredLaunch:
         self._pace.device.launch(kernel, work_items, **self._walk, **arguments)
 
     def run_rays(self, kernel: Any, pixels: int, most: int, **arguments: Any) -> int:
-        """Runs a kernel on rays of so many of the pixels: of their first samples here, `most` at most; returns that number."""
+        """Runs a kernel on rays of so many of the pixels, of their first samples here.
+
+        Returns how many rays each has: `most`, or as many as there are samples
+        """
         rays = min(most, self._samples)
         if rays:
             self._pace.device.launch(kernel, pixels * rays, **self._arguments, **arguments, ray_count=rays)

@@ -78,6 +78,7 @@ KERNELS = (
     KernelSource("lengths", "path_lengths"),
     KernelSource("derivatives", "gradient_paths", TABLE_FEATURES),
     KernelSource("jacobian", "jacobian_paths", TABLE_FEATURES),
+    KernelSource("jacobian", "jacobian_rays", TABLE_FEATURES),
     KernelSource("photons", "fill_table", TABLE_FEATURES),
     KernelSource("flux", "trace_photons"),
     KernelSource("image", "render_paths", ("CLOUDTOMO_PHASE_TABLE",), "render_paths, phase table"),
