@@ -91,8 +91,7 @@ class Rendering:
         return card("Rendering", {"mean radiance": f"{self.mean.mean():.4g} W m^-2 sr^-1", "made by": samples}, images)
 
     def __repr__(self) -> str:
-        samples = np.mean(self.samples)
-        radiance = f"mean {self.mean.mean():.4g} W m^-2 sr^-1"
+        radiance, samples = f"mean {self.mean.mean():.4g} W m^-2 sr^-1", np.mean(self.samples)
         return f"Rendering({self.mean.size} pixels, {radiance}, {samples:.6g} paths per pixel, seed {self.seed})"
 
 
@@ -123,10 +122,7 @@ class StoredLaunch:
         self._pace.device.launch(kernel, work_items, **self._walk, **arguments)
 
     def run_rays(self, kernel: Any, pixels: int, most: int, **arguments: Any) -> int:
-        """Runs a kernel on rays of so many of the pixels, of their first samples here.
-
-        Returns how many rays each has: `most`, or as many as there are samples
-        """
+        """Runs a kernel on rays of the pixels' first samples here; returns of how many: `most`, or all there are."""
         rays = min(most, self._samples)
         if rays:
             self._pace.device.launch(kernel, pixels * rays, **self._arguments, **arguments, ray_count=rays)
@@ -146,8 +142,7 @@ class RadianceOperator:
     scene : grid, optics, sun, air, surface, boundary
     views : the sensors
     device : where to compute; by default `choose_device()`
-    pixels : which pixels, an integer array (pixels, 2) of (view, row * width + column); all by
-        default
+    pixels : which pixels, an integer array (pixels, 2) of (view, row * width + column); all by default
     estimator : "side-flights" (less noise under a forward peak; the mean is the same), or
         "plain", one local estimate at every interaction; by default side flights if the
         asymmetry of the droplets is at least 0.5
