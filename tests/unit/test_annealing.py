@@ -50,11 +50,17 @@ def of_cloud(device, seed, noise=20.0):
     return cloud, inner_problem(device, data)
 
 
-def test_what_the_last_step_found_is_forgotten(device):
-    """Or errors of its choice would stay."""
+def error(found, cloud):
+    return np.abs(found - cloud).sum() / cloud.sum()
+
+
+def test_a_hole_that_the_last_step_has_left_is_filled(device):
+    """As well as where it began at the cloud itself, within a tenth; a choice at the last minimum leaves it."""
     cloud, inner = of_cloud(device, 5)
-    flat = np.full_like(cloud, cloud.mean())
-    assert annealed(inner, cloud) == pytest.approx(annealed(inner, flat), abs=1e-3 * cloud.max())
+    holed = cloud.reshape(GRID.shape).copy()
+    holed[2:7, 2:7, 2:7] = 0
+    known = error(annealed(inner, cloud), cloud)
+    assert error(annealed(inner, holed.ravel()), cloud) < 1.1 * known < error(inner.least(holed.ravel()), cloud)
 
 
 def test_it_is_nearer_to_clouds_than_choices_at_the_last_minimum(device):
@@ -66,7 +72,7 @@ def test_it_is_nearer_to_clouds_than_choices_at_the_last_minimum(device):
         for _ in range(7):
             found = inner.least(found)
         both = annealed(inner, flat), found
-        errors.append([np.abs(one - cloud).sum() / cloud.sum() for one in both])
+        errors.append([error(one, cloud) for one in both])
     ours, others = np.mean(errors, axis=0)
     assert ours < others
 
