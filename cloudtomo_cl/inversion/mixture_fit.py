@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cloudtomo_cl.blas import with_one_blas_thread
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion.mixture import Mixture
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
-from cloudtomo_cl.inversion.solvers.blas import with_one_blas_thread
 
 # Patches without cloud: their share among those near a cloud, and what of cloud a voxel of theirs may hold, in units
 # of the mean extinction. And from which extinction on a patch is one with cloud.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cloudtomo_cl.blas import with_one_blas_thread
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.missing import require_present
 from cloudtomo_cl.inversion.bound_prior import BoundPrior, NoiseUnits
@@ -15,7 +16,6 @@ from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.objective import AveragedImage
 from cloudtomo_cl.inversion.pixels import ActivePixels, active_pixels
 from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser, bound_prior
-from cloudtomo_cl.inversion.solvers.blas import with_one_blas_thread
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors

@@ -6,6 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from cloudtomo_cl.blas import with_one_blas_thread
 from cloudtomo_cl.scene.phase import PhaseFunction
 
 # Rings of directions around the vertical, degrees from it, and their azimuths: cells of about
@@ -40,6 +41,7 @@ def solid_angles() -> np.ndarray:
 
 
 @lru_cache
+@with_one_blas_thread
 def scattering_matrix(phase_function: PhaseFunction) -> np.ndarray:
     """From the radiance in each bin of directions to the light that droplets scatter into each.
 

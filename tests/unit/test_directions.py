@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from cloudtomo_cl.scene.phase import HenyeyGreenstein
 from cloudtomo_cl.transport.directions import AZIMUTHS, EDGES, scattering_matrix, solid_angles
@@ -41,3 +42,13 @@ def test_scattered_light_less_radiance_is_that_of_a_smooth_field(g, field):
         wrong += np.sum(solid_angles() * (matrix @ radiance - radiance - expected) ** 2)
         right += np.sum(solid_angles() * expected**2)
     assert np.sqrt(wrong / right) < 0.08
+
+
+def test_threads_of_blas_change_no_bit():
+    phase_function = HenyeyGreenstein(g=0.85)
+    found = []
+    for threads in (1, 2):
+        scattering_matrix.cache_clear()
+        with threadpool_limits(limits=threads, user_api="blas"):
+            found.append(scattering_matrix(phase_function))
+    np.testing.assert_array_equal(*found)

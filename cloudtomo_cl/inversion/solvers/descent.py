@@ -10,9 +10,9 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.blas import with_one_blas_thread
 from cloudtomo_cl.inversion.objective import AveragedImage
 from cloudtomo_cl.inversion.problem import Problem
-from cloudtomo_cl.inversion.solvers.blas import with_one_blas_thread
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
 from cloudtomo_cl.inversion.solvers.state import not_saved
 from cloudtomo_cl.messages import answering
