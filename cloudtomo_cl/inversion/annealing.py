@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cloudtomo_cl.inversion.bound_prior import NoiseUnits
-from cloudtomo_cl.inversion.conjugate_gradients import TOLERANCE, minimised
+from cloudtomo_cl.inversion.conjugate_gradients import minimised
 from cloudtomo_cl.inversion.data_term import DataTerm
 from cloudtomo_cl.inversion.mass import give_back
 from cloudtomo_cl.inversion.problem import Problem
@@ -18,9 +18,8 @@ from cloudtomo_cl.inversion.terms import term_of
 _SHARES = (0.03, 0.06, 0.12, 0.24, 0.48, 1.0, 1.0)
 # Begun where nothing is less than this share of the cloud's mean extinction.
 _FLOOR = 0.1
-# Of the iterations of a minimisation, the share of one of these; and what two iterations in a row gain in the end, of
-# all that was gained, in those before the last, from whose minimum only components are chosen.
-_EACH, _ROUGHLY = 0.5, 1e-3
+# Of the iterations of a minimisation, the share of one of these.
+_EACH = 0.5
 # How often a step is minimised again because the cloud's mean extinction has changed, by more than this share.
 _RESCALINGS, _SETTLED_SCALE = 4, 0.1
 
@@ -48,9 +47,7 @@ class InnerProblem:
     iterations: int
     iteration: int | None = None
 
-    def least(
-        self, begin: np.ndarray, share: float = 1.0, of_iterations: float = 1.0, tolerance: float = TOLERANCE
-    ) -> np.ndarray:
+    def least(self, begin: np.ndarray, share: float = 1.0, of_iterations: float = 1.0) -> np.ndarray:
         """The minimum, begun where the prior is chosen, with a share of its weight and of the iterations."""
         device, prior = self.problem.operator.device, self.problem.prior.frozen(begin, self.iteration)
         give_back(prior, begin, self.returned)
@@ -58,7 +55,7 @@ class InnerProblem:
         stiffness = self.stiffness + prior.curvature(begin, units)
         iterations = max(1, round(of_iterations * self.iterations))
         terms = [self.data, term_of(prior, units, device)]
-        return minimised(terms, begin, stiffness, iterations, device, tolerance)
+        return minimised(terms, begin, stiffness, iterations, device)
 
 
 def annealed(inner: InnerProblem, start: np.ndarray) -> np.ndarray:
@@ -72,9 +69,9 @@ def annealed(inner: InnerProblem, start: np.ndarray) -> np.ndarray:
     start : km^-1, shape (voxels,)
     """
     extinction = np.maximum(start, _FLOOR * mean_extinction(start))
-    for share in _SHARES[:-1]:
-        extinction = inner.least(extinction, share, _EACH, _ROUGHLY)
-    return inner.least(extinction, _SHARES[-1], _EACH)
+    for share in _SHARES:
+        extinction = inner.least(extinction, share, _EACH)
+    return extinction
 
 
 def rescaled(inner: InnerProblem, start: np.ndarray) -> np.ndarray:
