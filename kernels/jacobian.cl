@@ -9,7 +9,7 @@ typedef struct {
     float radiance, own_share; /* of walk/radiance.h */
     float total;
     RadianceTable table;
-    float weight;
+    float weight; /* with which a derivative counts: paths that it stands for */
     const __constant Scene *scene;
     const __global Tile *tile;
     const __global ushort4 *place;       /* of every column: voxel */

@@ -34,7 +34,7 @@ from cloudtomo_cl.transport.jacobian import Jacobian, jacobian_footprint
 from cloudtomo_cl.transport.radiance import Rendering, pooled
 
 _LOGGER = logging.getLogger(__name__)
-# Misfit, in that of noise alone, from which on derivatives are taken at their word: a step may then begin anew.
+# Misfit, in that of noise alone, from which on derivatives are taken at their word: steps may then be annealed.
 _FITTING = 2.5
 # Share of a predicted change of a pixel that is taken for the prediction's error.
 _TANGENT_ERROR = 0.1
@@ -198,8 +198,8 @@ class GaussNewton:
         units = problem.units(state.modelled_noise(problem))
 
         fits = float(np.mean(weights * misfit**2)) <= _FITTING * units.both
-        anew = fits and getattr(problem.prior, "chooses", False)
-        iteration = None if anew else state.iterations - 1
+        anneals = fits and getattr(problem.prior, "chooses", False)
+        iteration = None if anneals else state.iterations - 1
         prior = problem.prior.frozen(state.extinction, iteration)
         if is_due(state.iterations):
             model = _noisy_model(problem, state, jacobian, prior)
@@ -209,7 +209,7 @@ class GaussNewton:
         del prior  # it may be large
         stiffness = curvature * (1 + damping) + LEAST_CURVATURE * curvature.mean()
         inner = InnerProblem(problem, data, stiffness, units, state.returned, self.inner_iterations, iteration)
-        extinction = annealed(inner, state.extinction) if anew else rescaled(inner, state.extinction)
+        extinction = annealed(inner, state.extinction) if anneals else rescaled(inner, state.extinction)
         predicted = jacobian @ (extinction - state.extinction)
         motions = calibration.motions(misfit + predicted, state.image)
         predicted = predicted + calibration.change(motions - state.motions)
