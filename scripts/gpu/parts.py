@@ -50,7 +50,7 @@ PARTS = {
     "kernels": Part("gpu.profiled", 30, 120),
     "registers": Part("gpu.limited", 40, 60),
     "tests": Part("gpu.tested", 90, 240),
-    "mitsuba": Part("gpu.rivalled", 30, 120),
+    "mitsuba": Part("gpu.rivalled", 60, 120),
 }
 
 
