@@ -1,18 +1,36 @@
 /* What conjugate gradients with a bound at 0 do with vectors (docs/explanation/solvers.md). Sums over a vector are made
- * by PARTS work items, of which each adds every PARTS-th number in order; the host adds the parts. */
+ * by PARTS work items, of which each adds every PARTS-th number in order; one group adds the parts, by LANES, whatever
+ * its size. */
+
+/* A step aims so much farther than the last one should have gone, lest bounds cut it short, and at most changes its
+ * length by this factor. */
+#define AIM 1.3f
+#define LARGEST_CHANGE 2.0f
+/* Ended when so many steps in a row have gained little. */
+#define PATIENCE 2
 
 /* x is free where it is off its bound, or is pulled off it. */
 inline bool is_free(float x, float gradient) { return x > 0.0f || gradient < 0.0f; }
 
+/* One of the LANES parts of a sum's PARTS. */
+inline float lane_of(const __global float *sums, uint lane)
+{
+    float sum = 0.0f;
+    for (uint part = lane; part < PARTS; part += LANES)
+        sum += sums[part];
+    return sum;
+}
+
 /* Where a step along the next direction comes to rest, bounds heeded: `change`, which has the last one before. What is
- * on its bound and is pushed against it was not moved off it by the last change, and stays. */
+ * on its bound and is pushed against it was not moved off it by the last change, and stays. Its product begins at 0. */
 __kernel void next_change(NEXT_CHANGE_PARAMETERS)
 {
     const uint index = get_global_id(0);
     if (index >= count)
         return;
-    const float along = conjugation * change[index] - scale[index] * gradient[index];
-    change[index] = fmax(x[index] + length * along, 0.0f) - x[index];
+    const float along = descent->conjugation * change[index] - scale[index] * gradient[index];
+    change[index] = fmax(x[index] + descent->length * along, 0.0f) - x[index];
+    product[index] = 0.0f;
 }
 
 /* gradient . change, change . image, and how many times as far a change can go until it meets a bound. */
@@ -34,14 +52,67 @@ __kernel void sums_of_change(SUMS_OF_CHANGE_PARAMETERS)
     sums[2 * PARTS + part] = least;
 }
 
-/* x + length change, and its gradient, if that is linear. */
+/* How much of a change is taken, and how long the next one should be. A change that leads up is not: the next direction
+ * is that of the gradient alone, and if it was, or the function falls for ever, this is the end. */
+inline void choose(__global Descent *descent, float slope, float curvature, float farthest, float longest,
+                   int most_steps, float tolerance)
+{
+    const float best = curvature > 0.0f ? -slope / curvature : INFINITY;
+    const float taken = fmin(fmin(best, farthest), longest);
+    const bool leads_up = slope >= 0.0f && descent->conjugation > 0.0f;
+    descent->conjugation = 0.0f;
+    descent->curvature = curvature;
+    descent->taken = 0.0f;
+    if (leads_up)
+        return;
+    if (!(slope < 0.0f && taken < INFINITY)) {
+        descent->ended = 1;
+        return;
+    }
+    const float gain = -taken * (slope + 0.5f * taken * curvature);
+    descent->taken = taken;
+    descent->gained += gain;
+    descent->steps += 1;
+    descent->poor = gain <= tolerance * descent->gained ? descent->poor + 1 : 0;
+    descent->ended = descent->poor == PATIENCE || descent->steps == most_steps;
+    descent->length *= fmin(fmax(AIM * best, 1.0f / LARGEST_CHANGE), LARGEST_CHANGE);
+}
+
+__kernel void choose_step(CHOOSE_STEP_PARAMETERS)
+{
+    __local float slopes[LANES], curvatures[LANES], leasts[LANES];
+    for (uint lane = get_local_id(0); lane < LANES; lane += get_local_size(0)) {
+        slopes[lane] = lane_of(sums, lane);
+        curvatures[lane] = lane_of(sums + PARTS, lane);
+        float least = INFINITY;
+        for (uint part = lane; part < PARTS; part += LANES)
+            least = fmin(least, sums[2 * PARTS + part]);
+        leasts[lane] = least;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (get_global_id(0) != 0)
+        return;
+    float slope = 0.0f, curvature = 0.0f, farthest = INFINITY;
+    for (uint lane = 0u; lane < LANES; ++lane) {
+        slope += slopes[lane];
+        curvature += curvatures[lane];
+        farthest = fmin(farthest, leasts[lane]);
+    }
+    if (descent->ended)
+        descent->taken = 0.0f;
+    else
+        choose(descent, slope, curvature, farthest, longest, most_steps, tolerance);
+}
+
+/* x + so many times the change, and its gradient, if that is linear. */
 __kernel void take_step(TAKE_STEP_PARAMETERS)
 {
     const uint index = get_global_id(0);
-    if (index >= count)
+    const float taken = descent->taken;
+    if (index >= count || !(taken > 0.0f))
         return;
-    x[index] = fmax(x[index] + length * change[index], 0.0f);
-    gradient[index] += length * image[index];
+    x[index] = fmax(x[index] + taken * change[index], 0.0f);
+    gradient[index] += taken * image[index];
 }
 
 /* The scaled negative gradient of what is free, times the last change's image: how far it is from conjugate. */
@@ -55,6 +126,22 @@ __kernel void sums_of_gradient(SUMS_OF_GRADIENT_PARAMETERS)
         if (is_free(x[index], gradient[index]))
             along -= scale[index] * gradient[index] * image[index];
     sums[part] = along;
+}
+
+/* How much of the last change makes the next direction conjugate to it. */
+__kernel void choose_conjugation(CHOOSE_CONJUGATION_PARAMETERS)
+{
+    __local float lanes[LANES];
+    for (uint lane = get_local_id(0); lane < LANES; lane += get_local_size(0))
+        lanes[lane] = lane_of(sums, lane);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (get_global_id(0) != 0)
+        return;
+    float along = 0.0f;
+    for (uint lane = 0u; lane < LANES; ++lane)
+        along += lanes[lane];
+    if (descent->taken > 0.0f && descent->curvature > 0.0f)
+        descent->conjugation = fmax(-along / descent->curvature, 0.0f);
 }
 
 /* result += factor x. */

@@ -99,6 +99,11 @@ class DataTerm:
         self._image, self._weighed = self._pixels.zeros(), self._pixels.zeros()
 
     @property
+    def launches_alone(self) -> bool:
+        """See `Term`."""
+        return getattr(self._jacobian, "launches_alone", False)
+
+    @property
     def slope(self) -> np.ndarray:
         """Its gradient at the start, shape (voxels,), float64."""
         gradient = self._vectors.zeros()

@@ -150,6 +150,7 @@ class PatchTerm:
     factor: float
     scale: float
     quadratic: ClassVar[bool] = True
+    launches_alone: ClassVar[bool] = True
 
     def add_gradient(self, x: DeviceArray, result: DeviceArray) -> None:
         factor = self.factor * self.scale

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 class Term(Protocol):
     """One of the functions whose sum is minimised. Arrays are on the device: float32, shape (unknowns,).
 
+    Of terms with a true `launches_alone`, products are launches on arrays that stay the same and nothing else, which
+    may be made again without a call (`Device.repeated`).
+
     Attributes
     ----------
     quadratic : whether it is, and has `add_product`
@@ -97,6 +100,11 @@ class Around:
         self._terms, self._vectors = terms, Vectors(device, len(centre))
         self._centre, self._slope = self._vectors.of(centre), self._vectors.of(slope)
         self._change = self._vectors.zeros()
+
+    @property
+    def launches_alone(self) -> bool:
+        """See `Term`."""
+        return all(getattr(term, "launches_alone", False) for term in self._terms)
 
     def add_gradient(self, x: DeviceArray, result: DeviceArray) -> None:
         self._vectors.launch("find_change", x=x, start=self._centre, result=self._change)

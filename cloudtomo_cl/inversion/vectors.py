@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -10,9 +9,9 @@ import numpy as np
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device
 
-# Work items that a sum is made by: the same on every device.
-PARTS = 1024
-MINIMISE_FEATURES = (f"PARTS {PARTS}u",)
+# Work items that a sum is made by, and sums of theirs that one group makes: the same on every device.
+PARTS, _LANES = 1024, 64
+MINIMISE_FEATURES = (f"PARTS {PARTS}u", f"LANES {_LANES}u")
 
 
 class Vectors:
@@ -26,7 +25,6 @@ class Vectors:
 
     def __init__(self, device: Device, count: int) -> None:
         self.device, self.count = device, count
-        self._sums = device.empty((3, PARTS), np.float32)
 
     def of(self, values: np.ndarray) -> DeviceArray:
         """A copy of an array of the host."""
@@ -38,20 +36,19 @@ class Vectors:
 
     def launch(self, name: str, **arguments: Any) -> None:
         """Runs a kernel of minimise.cl with a work item for each number."""
-        kernel = self.device.kernel("minimise", name, MINIMISE_FEATURES)
-        self.device.launch(kernel, self.count, count=self.count, **arguments)
+        self._launch(name, self.count, count=self.count, **arguments)
 
     def add(self, factor: float, x: DeviceArray, result: DeviceArray) -> None:
         """Adds factor times a vector to another."""
         self.launch("add_vector", factor=factor, x=x, result=result)
 
-    def parts(self, name: str, **arguments: Any) -> np.ndarray:
-        """The parts of up to three sums, shape (3, parts): those that a kernel makes."""
-        kernel = self.device.kernel("minimise", name, MINIMISE_FEATURES)
-        self.device.launch(kernel, PARTS, count=self.count, **arguments, sums=self._sums)
-        return self._sums.get()
+    def launch_parts(self, name: str, **arguments: Any) -> None:
+        """Runs a kernel of minimise.cl with a work item for each part of a sum."""
+        self._launch(name, PARTS, count=self.count, **arguments)
 
+    def launch_once(self, name: str, **arguments: Any) -> None:
+        """Runs a kernel of minimise.cl that is one group's."""
+        self._launch(name, 1, **arguments)
 
-def sum_of(parts: np.ndarray) -> float:
-    """A sum of parts, exact but for the last rounding: it follows from nothing but its parts."""
-    return math.fsum(parts.tolist())
+    def _launch(self, name: str, work_items: int, **arguments: Any) -> None:
+        self.device.launch(self.device.kernel("minimise", name, MINIMISE_FEATURES), work_items, **arguments)

@@ -29,6 +29,10 @@ class DeviceArray(Protocol):
         """A copy on the host."""
         ...
 
+    def get_async(self) -> tuple[np.ndarray, Any]:
+        """A copy on the host, and the event when it is there."""
+        ...
+
     def set(self, values: np.ndarray, /) -> None:
         """Takes the values of an array of the host."""
         ...

@@ -77,6 +77,18 @@ STRUCTS: dict[str, np.dtype] = {
             ("square_low", np.float32),
         ]
     ),
+    "Descent": np.dtype(  # where a minimisation stands: minimise.cl
+        [
+            ("length", np.float32),  # of the next step, in directions
+            ("conjugation", np.float32),  # share of the last change in the next direction
+            ("curvature", np.float32),  # along the last change
+            ("taken", np.float32),  # so many times the last change; 0: it leads up
+            ("gained", np.float32),  # of the function in all
+            ("steps", np.int32),
+            ("poor", np.int32),  # last steps in a row that gained little
+            ("ended", np.int32),
+        ]
+    ),
 }
 
 # Where the weight of a path ends. KILLED_VARIANCE and TRUNCATED (radiance, sr^-1) stand beside the balance.

@@ -434,6 +434,7 @@ class Kernel:
         self._places = {parameter.name: place for place, parameter in enumerate(self._parameters)}
         self.function_name = name
         self.takes_turns = TURNS in self._places
+        self._spare: list[Any] = []
 
     def __call__(
         self,
@@ -446,6 +447,16 @@ class Kernel:
     ) -> Any:
         """Launches it; see `arguments`."""
         return self._opencl(queue, size, group, *self.arguments(*values, **named), global_offset=global_offset)
+
+    def taken(self) -> Any:
+        """A copy of pyopencl's kernel, which has arguments of its own until it is given back."""
+        import pyopencl
+
+        return self._spare.pop() if self._spare else pyopencl.Kernel(self._opencl.program, self.function_name)
+
+    def give_back(self, copy: Any) -> None:
+        """Keeps a copy for who takes the next one: to make one takes as long as many launches."""
+        self._spare.append(copy)
 
     def arguments(self, *values: Any, **named: Any) -> list[Any]:
         """All arguments as pyopencl takes them.

@@ -15,9 +15,9 @@ VECTOR_KERNELS: dict[str, tuple[str, ...]] = {
     "next_change": (
         *_POINT,
         "const __global float *scale",
-        "const float conjugation",  # share of the last direction in the next
-        "const float length",
+        "const __global Descent *descent",
         "__global float *change",
+        "__global float *product",
     ),
     "sums_of_change": (
         *_POINT,
@@ -25,9 +25,16 @@ VECTOR_KERNELS: dict[str, tuple[str, ...]] = {
         "const __global float *image",  # the second derivative times the change
         "__global float *sums",  # [3][part]
     ),
+    "choose_step": (
+        "const __global float *sums",  # [3][part]
+        "const float longest",  # changes, that a step may take
+        "const int most_steps",
+        "const float tolerance",  # share of all that was gained
+        "__global Descent *descent",
+    ),
     "take_step": (
         "const uint count",
-        "const float length",
+        "const __global Descent *descent",
         "const __global float *change",
         "const __global float *image",
         "__global float *x",
@@ -39,6 +46,7 @@ VECTOR_KERNELS: dict[str, tuple[str, ...]] = {
         "const __global float *image",
         "__global float *sums",  # [part]
     ),
+    "choose_conjugation": ("const __global float *sums", "__global Descent *descent"),
     "add_vector": ("const uint count", "const float factor", "const __global float *x", "__global float *result"),
     "spread_values": (
         "const uint count",

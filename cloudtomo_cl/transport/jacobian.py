@@ -121,6 +121,11 @@ class Jacobian(LinearOperator):
         self._near_by_voxel, self._far_by_voxel = by_voxel
         self._buffers: dict[Any, Any] = {}
 
+    @property
+    def launches_alone(self) -> bool:
+        """Whether products on the device are launches and nothing else: of one rank, once buffers are made."""
+        return self._structure.shares.owner is None
+
     def _matvec(self, x: np.ndarray) -> np.ndarray:
         return self._of_host(self.times, x, self.shape[0])
 

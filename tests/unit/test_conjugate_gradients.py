@@ -6,7 +6,8 @@ from scipy.optimize import lsq_linear, minimize
 
 from cloudtomo_cl.inversion.conjugate_gradients import minimised
 from cloudtomo_cl.inversion.terms import Around, HostTerm, term_of
-from cloudtomo_cl.inversion.vectors import PARTS, Vectors, sum_of
+from cloudtomo_cl.inversion.vectors import PARTS, Vectors
+from cloudtomo_cl.opencl.layout import STRUCTS
 
 UNKNOWNS = 40
 
@@ -115,19 +116,101 @@ def test_a_function_around_a_centre_has_its_slope_there(device, random, matrix):
     np.testing.assert_allclose(found - centre, -np.linalg.solve(second, slope), atol=1e-3)
 
 
+def chosen(device, sums, *, before=None, longest=np.inf, most_steps=9, tolerance=1e-7):
+    """What `choose_step` makes of sums, shape (3, PARTS)."""
+    descent = np.zeros(1, STRUCTS["Descent"])
+    descent["length"] = 1.0
+    for name, value in (before or {}).items():
+        descent[name] = value
+    descent = device.array(descent)
+    Vectors(device, 1).launch_once(
+        "choose_step", sums=device.array(np.asarray(sums, np.float32)), longest=longest, most_steps=most_steps,
+        tolerance=tolerance, descent=descent,
+    )  # fmt: skip
+    return descent.get()[0]
+
+
+def sums_of(slope, curvature, farthest=np.inf):
+    sums = np.zeros((3, PARTS))
+    sums[:, PARTS // 3] = slope, curvature, farthest
+    sums[2, : PARTS // 3] = np.inf
+    sums[2, PARTS // 3 + 1 :] = np.inf
+    return sums
+
+
 @pytest.mark.parametrize("count", [1, PARTS - 1, 3 * PARTS + 5])
 def test_sums_are_those_of_all_numbers(device, random, count):
-    vectors = Vectors(device, count)
+    """Seen by the step that they lead to: -slope / curvature, as far as no bound is met."""
+    vectors, sums = Vectors(device, count), device.empty((3, PARTS), np.float32)
     x, gradient, change, image = np.abs(random.normal(size=(1, count))), *random.normal(size=(3, count, 1))
     x, gradient, change, image = (np.ravel(values).astype(np.float32) for values in (x, gradient, change, image))
-    slopes, curvatures, farthest = vectors.parts(
-        "sums_of_change",
+    gradient, image = -np.sign(change) * np.abs(gradient), np.sign(change) * np.abs(image)
+    vectors.launch_parts(
+        "sums_of_change", sums=sums,
         **{
             name: vectors.of(values)
             for name, values in dict(x=x, gradient=gradient, change=change, image=image).items()
         },
-    )
-    assert sum_of(slopes) == pytest.approx(gradient.astype(float) @ change, rel=1e-5, abs=1e-5)
-    assert sum_of(curvatures) == pytest.approx(image.astype(float) @ change, rel=1e-5, abs=1e-5)
+    )  # fmt: skip
     down = change < 0
-    assert farthest.min() == pytest.approx(np.min(x[down] / -change[down], initial=np.inf))
+    best = -(gradient.astype(float) @ change) / (image.astype(float) @ change)
+    farthest = np.min(x[down] / -change[down], initial=np.inf)
+    assert chosen(device, sums.get())["taken"] == pytest.approx(min(best, farthest), rel=1e-5)
+    assert sums.get()[2].min() == pytest.approx(farthest)
+    without_bounds = np.where(np.arange(3)[:, None] < 2, sums.get(), np.inf)
+    assert chosen(device, without_bounds)["taken"] == pytest.approx(best, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    "sums, longest, taken, length",
+    [
+        (sums_of(-3.0, 2.0), np.inf, 1.5, 1.3 * 1.5),
+        (sums_of(-3.0, 2.0, 1.25), np.inf, 1.25, 1.3 * 1.5),
+        (sums_of(-3.0, 2.0), 1.0, 1.0, 1.3 * 1.5),
+        (sums_of(-3.0, 0.5), np.inf, 6.0, 2.0),
+        (sums_of(-3.0, 30.0), np.inf, 0.1, 0.5),
+        (sums_of(-3.0, -1.0, 4.0), np.inf, 4.0, 2.0),
+    ],
+    ids=["least", "to a bound", "no farther", "longer", "shorter", "concave"],
+)
+def test_a_step_goes_to_the_least_value_on_its_way(device, sums, longest, taken, length):
+    found = chosen(device, sums, longest=longest)
+    assert (found["taken"], found["length"]) == (pytest.approx(taken), pytest.approx(length))
+    gain = -(taken * sums[0].sum() + 0.5 * taken**2 * sums[1].sum())
+    assert found["gained"] == pytest.approx(gain)
+    assert (found["steps"], found["ended"]) == (1, 0)
+
+
+@pytest.mark.parametrize(
+    "sums, before, ended",
+    [
+        (sums_of(1.0, 1.0), {"conjugation": 0.5}, False),  # up: by the gradient alone
+        (sums_of(1.0, 1.0), {}, True),
+        (sums_of(0.0, 0.0), {}, True),
+        (sums_of(np.nan, 1.0), {"conjugation": 0.5}, True),
+        (sums_of(-1.0, 0.0), {}, True),  # falls for ever
+        (sums_of(-1.0, 1.0), {"ended": 1}, True),
+    ],
+    ids=["up", "up the gradient", "flat", "no number", "without end", "ended"],
+)
+def test_without_a_way_down_no_step_is_taken(device, sums, before, ended):
+    found = chosen(device, sums, before=before)
+    assert (found["taken"], found["steps"], found["ended"]) == (0, 0, ended)
+
+
+def test_it_ends_with_the_last_step_or_the_second_in_a_row_that_gains_little(device):
+    sums = sums_of(-1.0, 1.0)
+    assert chosen(device, sums, before={"steps": 8})["ended"]
+    assert chosen(device, sums, before={"gained": 1e8, "poor": 1})["ended"]
+    once = chosen(device, sums, before={"gained": 1e8})
+    assert (once["ended"], once["poor"]) == (0, 1)
+    assert chosen(device, sums, before={"gained": 1.0, "poor": 1})["poor"] == 0
+
+
+@pytest.mark.parametrize("along, taken, expected", [(-3.0, 1.0, 1.5), (3.0, 1.0, 0.0), (-3.0, 0.0, 0.25)])
+def test_the_next_direction_is_conjugate_to_the_change(device, along, taken, expected):
+    descent = np.zeros(1, STRUCTS["Descent"])
+    descent["curvature"], descent["taken"], descent["conjugation"] = 2.0, taken, 0.25 * (taken == 0)
+    descent, sums = device.array(descent), np.full(PARTS, along / PARTS, np.float32)
+    Vectors(device, 1).launch_once("choose_conjugation", sums=device.array(sums), descent=descent)
+    assert descent.get()[0]["conjugation"] == pytest.approx(expected)
