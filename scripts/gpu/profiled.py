@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 from unittest import mock
 
@@ -16,6 +16,7 @@ from benchmarks.scenes import Case, generated, scene_c
 import cloudtomo_cl as ct
 from cloudtomo_cl.opencl.device import Device, choose_device
 from cloudtomo_cl.opencl.parameters import Kernel
+from cloudtomo_cl.opencl.recording import Recorded
 from gpu.rows import Row
 
 _PART = "kernels"
@@ -37,14 +38,18 @@ class Recorder:
         self.device.queue = cl.CommandQueue(
             self.device.context, properties=cl.command_queue_properties.PROFILING_ENABLE
         )
-        launch = Kernel.__call__
+        for kind in (Kernel, Recorded):
+            mock.patch.object(kind, "__call__", self._keeping(kind.__call__)).start()
 
-        def recorded(kernel: Kernel, *arguments: Any, **named: Any) -> Any:
+    def _keeping(self, launch: Callable[..., Any]) -> Callable[..., Any]:
+        """A launch whose event is kept."""
+
+        def kept(kernel: Kernel | Recorded, *arguments: Any, **named: Any) -> Any:
             event = launch(kernel, *arguments, **named)
             self.events.append((kernel.function_name, event))
             return event
 
-        mock.patch.object(Kernel, "__call__", recorded).start()
+        return kept
 
     def clear(self) -> None:
         self.device.queue.finish()
