@@ -1,4 +1,4 @@
-/* What conjugate gradients with a bound at 0 do with vectors (docs/explanation/solvers.md). Sums over a vector are made
+/* What conjugate gradients with bounds, 0 <= x <= upper, do with vectors (docs/explanation/solvers.md). Sums over a vector are made
  * by PARTS work items, of which each adds every PARTS-th number in order; one group adds the parts, by LANES, whatever
  * its size. */
 
@@ -9,8 +9,11 @@
 /* Ended when so many steps in a row have gained little. */
 #define PATIENCE 2
 
-/* x is free where it is off its bound, or is pulled off it. */
-inline bool is_free(float x, float gradient) { return x > 0.0f || gradient < 0.0f; }
+/* x is free where it is off its bounds, or is pulled off the one it is on. */
+inline bool is_free(float x, float upper, float gradient)
+{
+    return (x > 0.0f || gradient < 0.0f) && (x < upper || gradient > 0.0f);
+}
 
 /* One of the LANES parts of a sum's PARTS. */
 inline float lane_of(const __global float *sums, uint lane)
@@ -29,7 +32,7 @@ __kernel void next_change(NEXT_CHANGE_PARAMETERS)
     if (index >= count)
         return;
     const float along = descent->conjugation * change[index] - scale[index] * gradient[index];
-    change[index] = fmax(x[index] + descent->length * along, 0.0f) - x[index];
+    change[index] = clamp(x[index] + descent->length * along, 0.0f, upper[index]) - x[index];
     product[index] = 0.0f;
 }
 
@@ -46,6 +49,8 @@ __kernel void sums_of_change(SUMS_OF_CHANGE_PARAMETERS)
         curvatures += own * image[index];
         if (own < 0.0f)
             least = fmin(least, x[index] / -own);
+        else if (own > 0.0f)
+            least = fmin(least, (upper[index] - x[index]) / own);
     }
     sums[part] = slopes;
     sums[PARTS + part] = curvatures;
@@ -111,7 +116,7 @@ __kernel void take_step(TAKE_STEP_PARAMETERS)
     const float taken = descent->taken;
     if (index >= count || !(taken > 0.0f))
         return;
-    x[index] = fmax(x[index] + taken * change[index], 0.0f);
+    x[index] = clamp(x[index] + taken * change[index], 0.0f, upper[index]);
     gradient[index] += taken * image[index];
 }
 
@@ -123,7 +128,7 @@ __kernel void sums_of_gradient(SUMS_OF_GRADIENT_PARAMETERS)
         return;
     float along = 0.0f;
     for (uint index = part; index < count; index += PARTS)
-        if (is_free(x[index], gradient[index]))
+        if (is_free(x[index], upper[index], gradient[index]))
             along -= scale[index] * gradient[index] * image[index];
     sums[part] = along;
 }

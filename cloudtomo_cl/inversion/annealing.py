@@ -8,11 +8,10 @@ import numpy as np
 
 from cloudtomo_cl.inversion.bound_prior import NoiseUnits
 from cloudtomo_cl.inversion.conjugate_gradients import minimised
-from cloudtomo_cl.inversion.data_term import DataTerm
 from cloudtomo_cl.inversion.mass import give_back
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
-from cloudtomo_cl.inversion.terms import term_of
+from cloudtomo_cl.inversion.terms import Term, term_of
 
 # Shares of the weight of a prior that chooses, one minimised with after the other (docs/decisions/patch-prior.md).
 _SHARES = (0.03, 0.06, 0.12, 0.24, 0.48, 1.0, 1.0)
@@ -26,36 +25,45 @@ _RESCALINGS, _SETTLED_SCALE = 4, 0.1
 
 @dataclass(frozen=True, eq=False)
 class InnerProblem:
-    """What a step minimises: a quadratic data term, and the prior as it stands at some extinction.
+    """What a step minimises: a data term, which is quadratic, and the prior as it stands at some extinction.
 
     Attributes
     ----------
     problem : whose prior and device
-    data : the data term, with the step's damping
+    data : with the step's damping
     stiffness : about the diagonal of its second derivative, positive, shape (voxels,)
     units : what the prior is multiplied with
+    upper : bound of the extinction, km^-1, shape (voxels,): as far as the linear model is trusted
     returned : share of the prior's pull on the mass that is taken back (`mass`)
     iterations : of conjugate gradients, at most
     iteration : of the stage, counted from 0
     """
 
     problem: Problem
-    data: DataTerm
+    data: Term
     stiffness: np.ndarray
     units: NoiseUnits
+    upper: np.ndarray
     returned: float
     iterations: int
     iteration: int | None = None
 
+    def prior_value(self, extinction: np.ndarray) -> float:
+        """That of the prior as it stands there."""
+        prior = self.problem.prior.frozen(extinction, self.iteration)
+        give_back(prior, extinction, self.returned)
+        return prior.value_and_gradient(extinction, self.units)[0]
+
     def least(self, begin: np.ndarray, share: float = 1.0, of_iterations: float = 1.0) -> np.ndarray:
         """The minimum, begun where the prior is chosen, with a share of its weight and of the iterations."""
+        begin = np.minimum(begin, self.upper)
         device, prior = self.problem.operator.device, self.problem.prior.frozen(begin, self.iteration)
         give_back(prior, begin, self.returned)
         units = replace(self.units, weight=share * self.units.weight)
         stiffness = self.stiffness + prior.curvature(begin, units)
         iterations = max(1, round(of_iterations * self.iterations))
         terms = [self.data, term_of(prior, units, device)]
-        return minimised(terms, begin, stiffness, iterations, device)
+        return minimised(terms, begin, stiffness, iterations, device, upper=self.upper)
 
 
 def annealed(inner: InnerProblem, start: np.ndarray) -> np.ndarray:

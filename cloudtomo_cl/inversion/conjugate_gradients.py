@@ -30,8 +30,9 @@ def minimised(
     iterations: int,
     device: Device,
     tolerance: float = TOLERANCE,
+    upper: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The x >= 0 that makes a sum of terms least, as far as so many products come.
+    """The x from 0 to an upper bound that makes a sum of terms least, as far as so many products come.
 
     Every iteration takes one product with the second derivatives. A direction is the scaled gradient of what is free,
     and as much of the last change as makes it conjugate to it. A step along it is put onto the bounds where it crosses
@@ -42,29 +43,33 @@ def minimised(
     Parameters
     ----------
     terms : convex, or nearly so
-    start : shape (unknowns,), not negative
+    start : shape (unknowns,), within the bounds
     stiffness : about the second derivative's diagonal, positive, shape (unknowns,)
     iterations : at most, at least 1
     device : where to compute
     tolerance : share of all that was gained that two iterations in a row gain in the end
+    upper : shape (unknowns,); by default there is no bound but 0
 
     Returns
     -------
     shape (unknowns,), float64
     """
-    return _Descent(terms, start, stiffness, device).run(iterations, tolerance)
+    return _Descent(terms, start, stiffness, np.inf if upper is None else upper, device).run(iterations, tolerance)
 
 
 class _Descent:
     """Where a minimisation stands: x, the terms' gradient there, the last change and its image; all on the device."""
 
-    def __init__(self, terms: Sequence[Term], start: np.ndarray, stiffness: np.ndarray, device: Device) -> None:
+    def __init__(
+        self, terms: Sequence[Term], start: np.ndarray, stiffness: np.ndarray, upper: np.ndarray | float, device: Device
+    ) -> None:
         self._quadratic = [term for term in terms if term.quadratic]
         self._others = [term for term in terms if not term.quadratic]
         self._repeats = all(getattr(term, "launches_alone", False) for term in terms)
         self._device = device
         vectors = self._vectors = Vectors(device, len(start))
         self._x, self._scale = vectors.of(start), vectors.of(1 / stiffness)
+        self._upper = vectors.of(np.broadcast_to(upper, start.shape))
         self._change, self._product, self._linear = (vectors.zeros() for _ in range(3))
         self._sums = device.empty((3, PARTS), np.float32)
         begin = np.zeros(1, STRUCTS["Descent"])
@@ -100,7 +105,7 @@ class _Descent:
         """Makes the next change, and its image."""
         vectors = self._vectors
         vectors.launch(
-            "next_change", x=self._x, gradient=self._gradient, scale=self._scale, descent=self._descent,
+            "next_change", x=self._x, upper=self._upper, gradient=self._gradient, scale=self._scale, descent=self._descent,
             change=self._change, product=self._product,
         )  # fmt: skip
         for term in self._quadratic:
@@ -122,18 +127,36 @@ class _Descent:
         """Takes as much of the change as makes the function least, and sees what makes the next one conjugate."""
         vectors, descent, sums = self._vectors, self._descent, self._sums
         vectors.launch_parts(
-            "sums_of_change", x=self._x, gradient=self._gradient, change=self._change, image=self._image, sums=sums
+            "sums_of_change",
+            x=self._x,
+            upper=self._upper,
+            gradient=self._gradient,
+            change=self._change,
+            image=self._image,
+            sums=sums,
         )
         vectors.launch_once(
             "choose_step", sums=sums, longest=_EXTRAPOLATION if self._others else np.inf, most_steps=iterations,
             tolerance=tolerance, descent=descent,
         )  # fmt: skip
         vectors.launch(
-            "take_step", descent=descent, change=self._change, image=self._product, x=self._x, gradient=self._linear
+            "take_step",
+            descent=descent,
+            change=self._change,
+            image=self._product,
+            x=self._x,
+            upper=self._upper,
+            gradient=self._linear,
         )
         self._gradient = self._whole_gradient()
         vectors.launch_parts(
-            "sums_of_gradient", x=self._x, gradient=self._gradient, scale=self._scale, image=self._image, sums=sums
+            "sums_of_gradient",
+            x=self._x,
+            upper=self._upper,
+            gradient=self._gradient,
+            scale=self._scale,
+            image=self._image,
+            sums=sums,
         )
         vectors.launch_once("choose_conjugation", sums=sums, descent=descent)
 

@@ -39,7 +39,7 @@ from cloudtomo_cl.memory import shape_text
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.renamed import renamed_arguments
-from cloudtomo_cl.scene.grid import Grid, resample_in_mask
+from cloudtomo_cl.scene.grid import Grid, mean_chord, resample_in_mask
 from cloudtomo_cl.scene.measurements import Measurements, check_wavelength
 from cloudtomo_cl.scene.metrics import epsilon
 from cloudtomo_cl.scene.scene import Scene
@@ -205,9 +205,8 @@ def _start(solver: Any, grid: Grid, mask: np.ndarray) -> float:
     if given is not None:
         return float(given)
     voxels = np.argwhere(mask)
-    x, y, z = (voxels.max(axis=0) - voxels.min(axis=0) + 1) * grid.spacing
-    mean_chord = 4 * x * y * z / (2 * (x * y + y * z + z * x))  # of a convex body, 4 volume / surface
-    return float(_START_DEPTH / mean_chord)
+    edges = (voxels.max(axis=0) - voxels.min(axis=0) + 1) * grid.spacing
+    return float(_START_DEPTH / mean_chord(edges))
 
 
 def _is_over(run: Run, rules: Sequence[StoppingRule]) -> bool:

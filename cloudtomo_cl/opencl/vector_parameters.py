@@ -5,6 +5,7 @@ from __future__ import annotations
 _POINT = (
     "const uint count",
     "const __global float *x",
+    "const __global float *upper",  # bound of x
     "const __global float *gradient",
 )
 _HALO = (
@@ -37,6 +38,7 @@ VECTOR_KERNELS: dict[str, tuple[str, ...]] = {
         "const __global Descent *descent",
         "const __global float *change",
         "const __global float *image",
+        "const __global float *upper",
         "__global float *x",
         "__global float *gradient",
     ),

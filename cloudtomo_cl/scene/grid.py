@@ -57,6 +57,11 @@ class Grid:
         """km^3"""
         return float(np.prod(self.spacing))
 
+    @property
+    def mean_chord(self) -> float:
+        """Of a voxel, km."""
+        return mean_chord(self.spacing)
+
     def centres(self, axis: int) -> np.ndarray:
         """Coordinates of the voxels' centres along an axis (0, 1, 2), km."""
         return self.origin[axis] + (np.arange(self.shape[axis]) + 0.5) * self.spacing[axis]
@@ -66,6 +71,12 @@ class Grid:
         nx, ny, nz = shape
         width, depth, height = self.extent
         return Grid(shape=(nx, ny, nz), spacing=(width / nx, depth / ny, height / nz), origin=self.origin)
+
+
+def mean_chord(edges: Triple) -> float:
+    """Of a box, in the unit of its edges: 4 volume / surface, as of every convex body (Cauchy 1850)."""
+    x, y, z = edges
+    return 4 * x * y * z / (2 * (x * y + y * z + z * x))
 
 
 def overlap_matrix(count: int, count_new: int) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass as plain_dataclass
 from dataclasses import replace
 from typing import Annotated, Literal
@@ -16,18 +17,18 @@ from cloudtomo_cl.inversion.annealing import InnerProblem, annealed, rescaled
 from cloudtomo_cl.inversion.bound_prior import FrozenPrior
 from cloudtomo_cl.inversion.data_term import DataTerm, Force
 from cloudtomo_cl.inversion.jacobian_average import JacobianAverage
-from cloudtomo_cl.inversion.mass import give_back, is_due, returned_share
+from cloudtomo_cl.inversion.mass import PAIRS, give_back, is_due, share_that_keeps_mass
 from cloudtomo_cl.inversion.noisy_model import NoisyModel
 from cloudtomo_cl.inversion.objective import cost_of_independent, noise_of
 from cloudtomo_cl.inversion.patch_operator import stencil_footprint
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
 from cloudtomo_cl.inversion.solvers.state import not_saved, of_any_length
-from cloudtomo_cl.inversion.terms import stiffness_of
+from cloudtomo_cl.inversion.terms import Around, stiffness_of
 from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, WIDENED, standard_errors
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.memory import Footprint
-from cloudtomo_cl.scene.grid import Count
+from cloudtomo_cl.scene.grid import Count, Grid
 from cloudtomo_cl.scene.scene import NotNegative, Positive
 from cloudtomo_cl.transport.derivatives import table_footprint
 from cloudtomo_cl.transport.jacobian import Jacobian, jacobian_footprint
@@ -36,6 +37,8 @@ from cloudtomo_cl.transport.radiance import Rendering, pooled
 _LOGGER = logging.getLogger(__name__)
 # Misfit, in that of noise alone, from which on derivatives are taken at their word: steps may then be annealed.
 _FITTING = 2.5
+# A step's largest change of a voxel upwards: by this optical depth along a mean chord, or by this factor.
+_TRUSTED_DEPTH, _TRUSTED_GROWTH = 0.5, 1.5
 # Share of a predicted change of a pixel that is taken for the prediction's error.
 _TANGENT_ERROR = 0.1
 # Paths of an iteration, times those by default, at most.
@@ -199,17 +202,15 @@ class GaussNewton:
 
         fits = float(np.mean(weights * misfit**2)) <= _FITTING * units.both
         anneals = fits and getattr(problem.prior, "chooses", False)
-        iteration = None if anneals else state.iterations - 1
-        prior = problem.prior.frozen(state.extinction, iteration)
-        if is_due(state.iterations):
-            model = _noisy_model(problem, state, jacobian, prior)
-            state = replace(state, returned=returned_share(model, np.random.default_rng([seed, stream])))
-        give_back(prior, state.extinction, state.returned)
-        value, _ = prior.value_and_gradient(state.extinction, units)
-        del prior  # it may be large
+        minimum, iteration = (annealed, None) if anneals else (rescaled, state.iterations - 1)
         stiffness = curvature * (1 + damping) + LEAST_CURVATURE * curvature.mean()
-        inner = InnerProblem(problem, data, stiffness, units, state.returned, self.inner_iterations, iteration)
-        extinction = annealed(inner, state.extinction) if anneals else rescaled(inner, state.extinction)
+        upper = trusted(state.extinction, problem.grid)
+        inner = InnerProblem(problem, data, stiffness, units, upper, state.returned, self.inner_iterations, iteration)
+        if is_due(state.iterations):
+            share = _share_by(minimum, inner, state, jacobian, np.random.default_rng([seed, stream]))
+            inner, state = replace(inner, returned=share), replace(state, returned=share)
+        value = inner.prior_value(state.extinction)
+        extinction = minimum(inner, state.extinction)
         predicted = jacobian @ (extinction - state.extinction)
         motions = calibration.motions(misfit + predicted, state.image)
         predicted = predicted + calibration.change(motions - state.motions)
@@ -231,6 +232,16 @@ class GaussNewton:
         return WIDENED * standard_errors(_noisy_model(problem, state, jacobian, prior), draws, seed)
 
 
+def trusted(extinction: np.ndarray, grid: Grid) -> np.ndarray:
+    """As far up as a step may go, km^-1, shape (voxels,).
+
+    Light says little of a voxel that is deep, and what noise puts there no later step takes away. Down it may go as far
+    as it will: a clear voxel is well seen.
+    """
+    depth = _TRUSTED_DEPTH / grid.mean_chord
+    return np.maximum(_TRUSTED_GROWTH * extinction, extinction + depth)
+
+
 def tail_rate(iteration: int) -> float:
     """Share of an iteration, counted from 0, in a mean over about the later half of them."""
     return 1 / (1 + iteration // 2)
@@ -247,11 +258,31 @@ def _derivatives_of(problem: Problem, state: GaussNewtonState, seed: int) -> Jac
     return derivatives
 
 
-def _noisy_model(problem: Problem, state: GaussNewtonState, jacobian: Jacobian, prior: FrozenPrior) -> NoisyModel:
-    """The linear model at the extinction of a state, where the prior stands as given."""
-    active, image, device, extinction = problem.active, state.image, problem.operator.device, state.extinction
-    calibration, weights, units = active.calibration, problem.weights, problem.units(state.modelled_noise(problem))
-    force = Force(weights, calibration, image, device)
+def _share_by(
+    minimum: Callable[[InnerProblem, np.ndarray], np.ndarray], inner: InnerProblem, state: GaussNewtonState,
+    jacobian: Jacobian, random: np.random.Generator,
+) -> float:  # fmt: skip
+    """The share of the prior's pull on the mass that steps take back (`mass`), if they find minima so."""
+    problem, extinction = inner.problem, state.extinction
+    if not give_back(problem.prior.frozen(extinction), extinction, 0.0):
+        return 0.0
+    data, slope_of_noise = _simulated_images(problem, state, jacobian)
+    noise = np.column_stack([slope_of_noise(random) for _ in range(PAIRS)])
+
+    def recovered(slope: np.ndarray, share: float) -> np.ndarray:
+        images = Around([data], extinction, slope, problem.operator.device)
+        return minimum(replace(inner, data=images, returned=share), extinction)
+
+    return share_that_keeps_mass(recovered, extinction, noise)
+
+
+def _simulated_images(
+    problem: Problem, state: GaussNewtonState, jacobian: Jacobian
+) -> tuple[DataTerm, Callable[[np.random.Generator], np.ndarray]]:
+    """The data term of the linear model at the extinction of a state, and draws of what noise adds to its slope."""
+    active, image, extinction = problem.active, state.image, state.extinction
+    calibration, weights = active.calibration, problem.weights
+    force = Force(weights, calibration, image, problem.operator.device)
     data = DataTerm(jacobian, force, _misfit(problem, state), extinction, np.zeros_like(extinction))
     deviation = np.sqrt(active.variance + state.variance)
 
@@ -259,7 +290,14 @@ def _noisy_model(problem: Problem, state: GaussNewtonState, jacobian: Jacobian, 
         noise = calibration.drawn(random, image) + deviation * random.standard_normal(len(image))
         return jacobian.rmatvec(weights * calibration(noise, image)).astype(float)
 
-    curvature = jacobian.curvature(weights)
+    return data, slope_of_noise
+
+
+def _noisy_model(problem: Problem, state: GaussNewtonState, jacobian: Jacobian, prior: FrozenPrior) -> NoisyModel:
+    """The linear model at the extinction of a state, where the prior stands as given."""
+    device, extinction, units = problem.operator.device, state.extinction, problem.units(state.modelled_noise(problem))
+    data, slope_of_noise = _simulated_images(problem, state, jacobian)
+    curvature = jacobian.curvature(problem.weights)
     stiffness = curvature + prior.curvature(extinction, units) + LEAST_CURVATURE * curvature.mean()
     terms = [data, stiffness_of(prior, units, device)]
     return NoisyModel(terms, stiffness, data.slope, slope_of_noise, prior, units, extinction, device)
