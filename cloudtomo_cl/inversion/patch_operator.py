@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -26,6 +27,43 @@ def stencil_footprint(voxels: int) -> Footprint:
     """What a step's stencil takes of so many voxels near cloud."""
     size = 4.0 * _NEIGHBOURS * voxels / _TILES_FILLED
     return Footprint(size, size)
+
+
+@dataclass(frozen=True, eq=False)
+class _Components:
+    """A mixture's components as kernels take them, for patches with noise of one standard deviation; on the device.
+
+    Attributes
+    ----------
+    noise : in units of s
+    whitening, white_means, constants : what makes one likely
+    precision, slope : its quadratic form and linear one
+    diagonal : of the precisions, on the host, shape (components, values)
+    """
+
+    noise: float
+    whitening: Any
+    white_means: Any
+    constants: Any
+    precision: Any
+    slope: Any
+    diagonal: np.ndarray
+
+    @classmethod
+    def of(cls, mixture: Mixture, noise: float, device: Device) -> _Components:
+        """Those of a mixture."""
+        whitening, means = mixture.whitening(noise)
+        values = whitening.shape[1]
+        rows = np.zeros((len(mixture), values, -(-values // _LANES) * _LANES))
+        rows[:, :, :values] = whitening
+        precisions = mixture.precisions(noise)
+        slopes = np.einsum("kij,kj->ki", precisions, mixture.means)
+        arrays = {
+            "whitening": rows, "white_means": means, "constants": mixture.constants(noise), "precision": precisions,
+            "slope": slopes,
+        }  # fmt: skip
+        kept = {name: device.constant(array.astype(np.float32)) for name, array in arrays.items()}
+        return cls(noise, **kept, diagonal=np.diagonal(precisions, axis1=1, axis2=2).copy())
 
 
 class PatchOperator:
@@ -63,6 +101,7 @@ class PatchOperator:
         self.values = device.zeros(self.halo, np.float32)
         self._guess = device.empty(self.shape, np.uint16)
         self._guess.fill(_NO_PATCH)
+        self._components: _Components | None = None
         self.offsets = int(np.prod(2 * np.array(mixture.size) - 1))
         self._features = tuple(
             f"{name} {value}"
@@ -70,6 +109,13 @@ class PatchOperator:
                 ("PATCH_X", "PATCH_Y", "PATCH_Z", "LANES", "NO_PATCH"), (*mixture.size, _LANES, _NO_PATCH)
             )
         )
+
+    def components(self, noise: float) -> _Components:
+        """Those for a noise; the last ones are kept, for many steps have the same."""
+        found = self._components
+        if found is None or found.noise != noise:
+            found = self._components = _Components.of(self.mixture, noise, self.device)
+        return found
 
     def launch(self, name: str, work_items: int, **arguments: Any) -> None:
         """Runs one of the kernels."""
@@ -87,19 +133,14 @@ class PatchOperator:
         noise : standard deviation that patches are known to, in units of s
         """
         self.spread(u)
-        device, mixture, count = self.device, self.mixture, len(self.patches)
+        device, mixture, count = self.device, self.components(noise), len(self.patches)
         # The last ones are a good guess, and no more.
         component = self._guess.copy()
         cost = device.empty(count, np.float32)
-        whitening, means = mixture.whitening(noise)
-        padded = -(-self.patches.values // _LANES) * _LANES
-        rows = np.zeros((len(mixture), self.patches.values, padded), np.float32)
-        rows[:, :, : self.patches.values] = whitening
         self.launch(
             "choose_components", count, patch_count=count, centre=self.centre, shape=self.shape, halo=self.halo,
-            values=self.values, component_count=len(mixture), whitening=device.constant(rows),
-            white_means=device.constant(means.astype(np.float32)),
-            constants=device.constant(mixture.constants(noise).astype(np.float32)), component=component, cost=cost,
+            values=self.values, component_count=len(self.mixture), whitening=mixture.whitening,
+            white_means=mixture.white_means, constants=mixture.constants, component=component, cost=cost,
         )  # fmt: skip
         self._guess = component
         return component, float(np.sum(cost.get(), dtype=np.float64))
@@ -135,7 +176,7 @@ class PatchQuadratic:
         self._operator, self._at = operator, u
         device = operator.device
         self._component, self.value = operator.chosen_components(device.array(u.astype(np.float32)), noise)
-        precisions = operator.mixture.precisions(noise)
+        components = operator.components(noise)
         corners, numbers = operator.tiles_near_cloud(self._component)
         self._tiles = len(corners)
         self._corner, self._number = device.constant(corners), device.constant(numbers)
@@ -144,20 +185,19 @@ class PatchQuadratic:
         operator.launch(
             "assemble_stencil", self._tiles * columns * _LANES, tile_count=self._tiles, corner=self._corner,
             number=self._number, shape=operator.shape, component=self._component,
-            precision=device.constant(precisions.astype(np.float32)), stencil=self._stencil,
+            precision=components.precision, stencil=self._stencil,
         )  # fmt: skip
-        self._sum_patches(precisions, weight_of_clear)
+        self._sum_patches(components, weight_of_clear)
         self.value += 0.5 * (1 - 1 / weight_of_clear) * float(self.clear @ np.square(u))
 
-    def _sum_patches(self, precisions: np.ndarray, weight_of_clear: float) -> None:
+    def _sum_patches(self, components: _Components, weight_of_clear: float) -> None:
         operator, device = self._operator, self._operator.device
-        slopes = np.einsum("kij,kj->ki", precisions, operator.mixture.means)
-        diagonals = np.diagonal(precisions, axis1=1, axis2=2).copy()
+        diagonals = components.diagonal.copy()
         diagonals[0] *= weight_of_clear  # the first component's
         self._of_means, self._clear, self._diagonal = (device.empty(operator.voxels, np.float32) for _ in range(3))
         operator.launch(
             "sum_patches", operator.voxels, voxel_count=operator.voxels, voxel=operator.voxel, shape=operator.shape,
-            component=self._component, slope=device.constant(slopes.astype(np.float32)),
+            component=self._component, slope=components.slope,
             diagonal_of=device.constant(diagonals.astype(np.float32)), of_means=self._of_means,
             clear=self._clear, diagonal=self._diagonal,
         )  # fmt: skip
