@@ -105,8 +105,8 @@ class _Descent:
         """Makes the next change, and its image."""
         vectors = self._vectors
         vectors.launch(
-            "next_change", x=self._x, upper=self._upper, gradient=self._gradient, scale=self._scale, descent=self._descent,
-            change=self._change, product=self._product,
+            "next_change", x=self._x, upper=self._upper, gradient=self._gradient, scale=self._scale,
+            descent=self._descent, change=self._change, product=self._product,
         )  # fmt: skip
         for term in self._quadratic:
             term.add_product(self._change, self._product)

@@ -230,6 +230,14 @@ def test_paths_are_those_by_default_times_a_factor(problem, paths, samples, expe
     assert progress.paths == 2 * of_derivatives * len(problem.pixels)
 
 
+def test_a_step_makes_no_voxel_deeper_than_its_model_is_trusted(problem):
+    """By a third of an optical depth along a mean chord of a voxel, 4 volume / surface."""
+    problem, solver = replace(problem, prior_weight=1e-6), ct.GaussNewton(image_samples=1)
+    depth = 1 / (2 / np.sum(1 / np.array(problem.grid.spacing)))
+    state, _ = solver.step(problem, solver.init(problem, np.full(len(problem.voxels), 0.1 * depth)), seed=2, stream=1)
+    assert state.extinction.max() == pytest.approx((0.1 + 1 / 3) * depth)
+
+
 def test_old_names_are_answered_with_the_new(scene, measurements, device):
     with pytest.raises(DataError, match="the argument optimizer is now solver: a GaussNewton, Adam or SGD"):
         recover(scene, measurements, device, optimizer=None)

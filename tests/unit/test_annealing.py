@@ -41,7 +41,9 @@ def inner_problem(device, data):
     voxels = ct.Voxels(GRID, np.ones(GRID.shape, bool))
     problem = SimpleNamespace(prior=bound_prior(PatchPrior(), voxels, device), operator=SimpleNamespace(device=device))
     stiffness = data.weights @ data.jacobian**2
-    return InnerProblem(problem, data, stiffness, NoiseUnits(1.0, 1.0), 0.5, ITERATIONS)
+    return InnerProblem(
+        problem, data, stiffness, NoiseUnits(1.0, 1.0), np.full(len(stiffness), np.inf), 0.5, ITERATIONS
+    )
 
 
 def of_cloud(device, seed, noise=20.0):

@@ -63,6 +63,18 @@ def test_minima_respect_their_bounds(device, random, matrix):
     assert 0.2 < np.mean(found == 0) < 0.8
 
 
+def test_minima_respect_upper_bounds(device, random, matrix):
+    """Against SciPy's bounded least squares: of the unknowns some end on either bound, and some between."""
+    aim, upper = random.normal(size=60), 0.1 * random.random(UNKNOWNS) + 0.01
+    term = Quadratic(device, matrix.T @ matrix, matrix.T @ aim)
+    found = minimised([term], 0.5 * upper, np.sum(matrix**2, axis=0), 200, device, 1e-12, upper)
+    upper = upper.astype(np.float32)
+    expected = lsq_linear(matrix, aim, bounds=(0, upper), tol=1e-12).x
+    np.testing.assert_allclose(found, expected, atol=1e-4 * expected.max())
+    on_bounds = (found == 0).mean(), (found == upper).mean()
+    assert min(on_bounds) > 0.1 and sum(on_bounds) < 0.9
+
+
 def test_without_bounds_they_are_conjugate_gradients(device, random):
     """Which end after as many products as there are different eigenvalues."""
     axes = np.linalg.qr(random.normal(size=(UNKNOWNS, UNKNOWNS)))[0]
@@ -142,19 +154,19 @@ def sums_of(slope, curvature, farthest=np.inf):
 def test_sums_are_those_of_all_numbers(device, random, count):
     """Seen by the step that they lead to: -slope / curvature, as far as no bound is met."""
     vectors, sums = Vectors(device, count), device.empty((3, PARTS), np.float32)
-    x, gradient, change, image = np.abs(random.normal(size=(1, count))), *random.normal(size=(3, count, 1))
-    x, gradient, change, image = (np.ravel(values).astype(np.float32) for values in (x, gradient, change, image))
+    x, room = np.abs(random.normal(size=(2, count))).astype(np.float32)
+    gradient, change, image = random.normal(size=(3, count)).astype(np.float32)
     gradient, image = -np.sign(change) * np.abs(gradient), np.sign(change) * np.abs(image)
     vectors.launch_parts(
         "sums_of_change", sums=sums,
         **{
             name: vectors.of(values)
-            for name, values in dict(x=x, gradient=gradient, change=change, image=image).items()
+            for name, values in dict(x=x, upper=x + room, gradient=gradient, change=change, image=image).items()
         },
     )  # fmt: skip
-    down = change < 0
+    way = np.where(change < 0, x, (x + room) - x)
     best = -(gradient.astype(float) @ change) / (image.astype(float) @ change)
-    farthest = np.min(x[down] / -change[down], initial=np.inf)
+    farthest = np.min(way / np.abs(change))
     assert chosen(device, sums.get())["taken"] == pytest.approx(min(best, farthest), rel=1e-5)
     assert sums.get()[2].min() == pytest.approx(farthest)
     without_bounds = np.where(np.arange(3)[:, None] < 2, sums.get(), np.inf)

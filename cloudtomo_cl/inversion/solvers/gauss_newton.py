@@ -38,7 +38,7 @@ _LOGGER = logging.getLogger(__name__)
 # Misfit, in that of noise alone, from which on derivatives are taken at their word: steps may then be annealed.
 _FITTING = 2.5
 # A step's largest change of a voxel upwards: by this optical depth along a mean chord, or by this factor.
-_TRUSTED_DEPTH, _TRUSTED_GROWTH = 0.5, 1.5
+_TRUSTED_DEPTH, _TRUSTED_GROWTH = 1 / 3, 1.3
 # Share of a predicted change of a pixel that is taken for the prediction's error.
 _TANGENT_ERROR = 0.1
 # Paths of an iteration, times those by default, at most.
@@ -233,13 +233,12 @@ class GaussNewton:
 
 
 def trusted(extinction: np.ndarray, grid: Grid) -> np.ndarray:
-    """As far up as a step may go, km^-1, shape (voxels,).
+    """How far up a step may go, km^-1, shape (voxels,).
 
-    Light says little of a voxel that is deep, and what noise puts there no later step takes away. Down it may go as far
-    as it will: a clear voxel is well seen.
+    Once a voxel is deep, images hardly change with it: what a linear model that does not fit yet has put there, no later
+    step takes away. Down a step may go as far as it will, since thin voxels are well seen.
     """
-    depth = _TRUSTED_DEPTH / grid.mean_chord
-    return np.maximum(_TRUSTED_GROWTH * extinction, extinction + depth)
+    return np.maximum(_TRUSTED_GROWTH * extinction, extinction + _TRUSTED_DEPTH / grid.mean_chord)
 
 
 def tail_rate(iteration: int) -> float:
