@@ -15,7 +15,7 @@ PAIRS = 1
 
 
 def is_due(iterations: int) -> bool:
-    """Whether the share is found anew in a stage's iteration, counted from 1: it changes ever more slowly."""
+    """Whether the share is found anew in an iteration, counted from 1: it changes ever more slowly."""
     return iterations & (iterations - 1) == 0
 
 

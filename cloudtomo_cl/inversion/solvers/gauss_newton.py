@@ -60,6 +60,7 @@ class GaussNewtonState:
     image, variance : of the averaged modelled image, W m^-2 sr^-1 and its square, shape (pixels,)
     lag : `noise_of` the errors of the last step's prediction
     iterations : done so far
+    fitted : of these, how many began where the model fitted the images
     returned : share of the prior's pull on the mass that steps take back (`mass`)
     motions : of the views, shape (views, 3), as the next iteration renders them (`scene.pointing`)
     streams, walked, turned : of the derivatives: random numbers, shape (iterations,), extinctions, (iterations,
@@ -72,6 +73,7 @@ class GaussNewtonState:
     variance: np.ndarray
     lag: float
     iterations: int
+    fitted: int
     returned: float
     motions: np.ndarray
     streams: np.ndarray = of_any_length()
@@ -136,7 +138,7 @@ class GaussNewton:
         if problem.motions is not None:
             motions = problem.motions
         streams, turned = np.zeros(0, np.int64), np.zeros((0, *motions.shape))
-        return GaussNewtonState(start, nothing, nothing, 0.0, 0, 0.0, motions, streams, none, turned)
+        return GaussNewtonState(start, nothing, nothing, 0.0, 0, 0, 0.0, motions, streams, none, turned)
 
     @with_one_blas_thread
     def step(
@@ -201,12 +203,13 @@ class GaussNewton:
         units = problem.units(state.modelled_noise(problem))
 
         fits = float(np.mean(weights * misfit**2)) <= _FITTING * units.both
+        state = replace(state, fitted=state.fitted + fits)
         anneals = fits and getattr(problem.prior, "chooses", False)
         minimum, iteration = (annealed, None) if anneals else (rescaled, state.iterations - 1)
         stiffness = curvature * (1 + damping) + LEAST_CURVATURE * curvature.mean()
         upper = trusted(state.extinction, problem.grid)
         inner = InnerProblem(problem, data, stiffness, units, upper, state.returned, self.inner_iterations, iteration)
-        if is_due(state.iterations):
+        if fits and is_due(state.fitted):
             share = _share_by(minimum, inner, state, jacobian, np.random.default_rng([seed, stream]))
             inner, state = replace(inner, returned=share), replace(state, returned=share)
         value = inner.prior_value(state.extinction)
@@ -235,8 +238,8 @@ class GaussNewton:
 def trusted(extinction: np.ndarray, grid: Grid) -> np.ndarray:
     """How far up a step may go, km^-1, shape (voxels,).
 
-    Once a voxel is deep, images hardly change with it: what a linear model that does not fit yet has put there, no later
-    step takes away. Down a step may go as far as it will, since thin voxels are well seen.
+    Once a voxel is deep, images hardly change with it: what a linear model that does not fit yet has put there, no
+    later step takes away. Down a step may go as far as it will, since thin voxels are well seen.
     """
     return np.maximum(_TRUSTED_GROWTH * extinction, extinction + _TRUSTED_DEPTH / grid.mean_chord)
 
