@@ -87,14 +87,14 @@ class _Descent:
             self._step(iterations, tolerance)
 
         repeated = self._device.repeated if self._repeats else nullcontext
-        # The host is an iteration ahead, so that the device has something to do while it looks whether that was the
-        # last one; one too many changes nothing. After as many as may be it does not go ahead.
+        # Where that costs the host nothing it is an iteration ahead, so that the device has something to do while it
+        # looks whether that was the last one; one too many changes nothing. After as many as may be it is not.
         behind: deque[tuple[np.ndarray, Any]] = deque()
         with repeated(iterate) as again:
             for number in count(1):
                 again()
                 behind.append(self._descent.get_async())
-                while len(behind) > (number < iterations):
+                while len(behind) > (self._repeats and number < iterations):
                     descent, copied = behind.popleft()
                     copied.wait()
                     if descent["ended"][0]:

@@ -226,3 +226,16 @@ def test_the_next_direction_is_conjugate_to_the_change(device, along, taken, exp
     descent, sums = device.array(descent), np.full(PARTS, along / PARTS, np.float32)
     Vectors(device, 1).launch_once("choose_conjugation", sums=device.array(sums), descent=descent)
     assert descent.get()[0]["conjugation"] == pytest.approx(expected)
+
+
+def test_what_is_chosen_follows_from_no_group_size(device, random, monkeypatch):
+    """To the bit: groups of other sizes add the same numbers in the same order."""
+    sums, found = np.abs(random.normal(size=(3, PARTS))) * np.array([[-1], [1], [9]]), []
+    for size in (1, 16, 48, 64, 128):
+        monkeypatch.setattr(device, "group_size", size)
+        descent = chosen(device, sums)
+        on_device = device.array(descent[None])
+        given = device.array(-sums[1].astype(np.float32))
+        Vectors(device, 1).launch_once("choose_conjugation", sums=given, descent=on_device)
+        found.append(on_device.get().tobytes())
+    assert len(set(found)) == 1
