@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -13,7 +14,10 @@ from cloudtomo_cl.inversion.vectors import Vectors
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
+from cloudtomo_cl.parallel.ranks import Ranks, Shares
 
+# Ranks have patches, and tiles of the stencil, in blocks of so many.
+_PATCHES_OF_BLOCK, _TILES_OF_BLOCK = 64, 8
 # Voxels of a tile of the stencil, in a row along z; and what stands for a patch that holds no voxel of the mask.
 _LANES, _NO_PATCH = 8, 65535
 
@@ -26,6 +30,32 @@ def stencil_footprint(voxels: int) -> Footprint:
     """What a step's stencil takes of so many voxels near cloud."""
     size = 4.0 * _NEIGHBOURS * voxels / _TILES_FILLED
     return Footprint(size, size)
+
+
+@dataclass(frozen=True, eq=False)
+class Tiles:
+    """Tiles of the stencil, of which every rank has some.
+
+    Attributes
+    ----------
+    corners, numbers : of this rank's, their first voxels, and their voxels' numbers
+    voxels : which rank makes the product of which voxel
+    """
+
+    corners: np.ndarray
+    numbers: np.ndarray
+    voxels: Shares
+
+    @classmethod
+    def dealt(cls, corners: np.ndarray, numbers: np.ndarray, voxels: int, ranks: Ranks) -> Tiles:
+        """Deals all tiles out."""
+        shares = ranks.dealt(np.arange(len(corners)) // _TILES_OF_BLOCK)
+        if shares.owner is None:
+            return cls(corners, numbers, Shares(ranks, voxels))
+        owner = np.zeros(voxels, shares.owner.dtype)
+        inside = numbers >= 0
+        owner[numbers[inside]] = np.broadcast_to(shares.owner[:, None], numbers.shape)[inside]
+        return cls(shares.taken(corners), shares.taken(numbers), Shares(ranks, voxels, owner))
 
 
 class PatchOperator:
@@ -49,7 +79,10 @@ class PatchOperator:
         self.halo = tuple(np.array([*mask.shape[:2], tiles_along * _LANES]) + 2 * margins)
         at = np.argwhere(mask)
         constant = device.constant
-        self.voxel, self.centre = constant(_ushort4(at)), constant(_ushort4(patches.centres))
+        self.voxel = constant(_ushort4(at))
+        self._shares = device.ranks.dealt(np.arange(len(patches)) // _PATCHES_OF_BLOCK)
+        self._own_centres = self._shares.taken(patches.centres)
+        self._centre = constant(_ushort4(self._own_centres))
         self.place = constant(np.ravel_multi_index(tuple((at + margins).T), self.halo).astype(np.uint32))
         # Tiles that hold a voxel of the mask, and its numbers.
         numbers = np.full((*mask.shape[:2], tiles_along * _LANES), -1, np.int32)
@@ -86,33 +119,43 @@ class PatchOperator:
         u : extinction in units of s; it is spread
         noise : standard deviation that patches are known to, in units of s
         """
+        shares = self._shares
+        component, cost = self.device.ranks.together(lambda: self._chosen_of_rank(u, noise))
+        if shares.owner is not None:
+            found = component.get()
+            found[tuple(self.patches.centres.T)] = shares.gathered(found[tuple(self._own_centres.T)])
+            component.set(found)
+        self._guess = component
+        return component, float(np.sum(shares.gathered(cost.get()[: len(shares)]), dtype=np.float64))
+
+    def _chosen_of_rank(self, u: DeviceArray, noise: float) -> tuple[DeviceArray, DeviceArray]:
+        """Components and costs of this rank's patches."""
         self.spread(u)
-        device, mixture, count = self.device, self.mixture, len(self.patches)
+        device, mixture, count = self.device, self.mixture, len(self._shares)
         # The last ones are a good guess, and no more.
         component = self._guess.copy()
-        cost = device.empty(count, np.float32)
+        cost = device.empty(max(count, 1), np.float32)
         whitening, means = mixture.whitening(noise)
         padded = -(-self.patches.values // _LANES) * _LANES
         rows = np.zeros((len(mixture), self.patches.values, padded), np.float32)
         rows[:, :, : self.patches.values] = whitening
         self.launch(
-            "choose_components", count, patch_count=count, centre=self.centre, shape=self.shape, halo=self.halo,
+            "choose_components", count, patch_count=count, centre=self._centre, shape=self.shape, halo=self.halo,
             values=self.values, component_count=len(mixture), whitening=device.constant(rows),
             white_means=device.constant(means.astype(np.float32)),
             constants=device.constant(mixture.constants(noise).astype(np.float32)), component=component, cost=cost,
         )  # fmt: skip
-        self._guess = component
-        return component, float(np.sum(cost.get(), dtype=np.float64))
+        return component, cost
 
-    def tiles_near_cloud(self, component: DeviceArray) -> tuple[np.ndarray, np.ndarray]:
-        """Those with a voxel in a patch that has cloud: their first voxels, and their voxels' numbers."""
+    def tiles_near_cloud(self, component: DeviceArray) -> Tiles:
+        """Those with a voxel in a patch that has cloud."""
         reached = self.device.empty(len(self._corners), np.uint8)
         self.launch(
             "find_tiles", len(self._corners), tile_count=len(self._corners), corner=self._all_corners,
             shape=self.shape, component=component, reached=reached,
         )  # fmt: skip
         chosen = np.flatnonzero(reached.get())
-        return self._corners[chosen], self._numbers[chosen]
+        return Tiles.dealt(self._corners[chosen], self._numbers[chosen], self.voxels, self.device.ranks)
 
 
 class PatchQuadratic:
@@ -136,9 +179,17 @@ class PatchQuadratic:
         device = operator.device
         self._component, self.value = operator.chosen_components(device.array(u.astype(np.float32)), noise)
         precisions = operator.mixture.precisions(noise)
-        corners, numbers = operator.tiles_near_cloud(self._component)
-        self._tiles = len(corners)
-        self._corner, self._number = device.constant(corners), device.constant(numbers)
+        tiles = operator.tiles_near_cloud(self._component)
+        self._tiles, self._shares = len(tiles.corners), tiles.voxels
+        self._corner, self._number = device.constant(tiles.corners), device.constant(tiles.numbers)
+        self._part = operator.vectors.zeros()
+        device.ranks.together(lambda: self._assemble(precisions))
+        self._sum_patches(precisions, weight_of_clear)
+        self.value += 0.5 * (1 - 1 / weight_of_clear) * float(self.clear @ np.square(u))
+
+    def _assemble(self, precisions: np.ndarray) -> None:
+        """Makes the stencil of this rank's tiles."""
+        operator, device = self._operator, self._operator.device
         self._stencil = device.empty(max(self._tiles, 1) * operator.offsets * _LANES, np.float32)
         columns = operator.offsets // (2 * operator.mixture.size[2] - 1)
         operator.launch(
@@ -146,8 +197,6 @@ class PatchQuadratic:
             number=self._number, shape=operator.shape, component=self._component,
             precision=device.constant(precisions.astype(np.float32)), stencil=self._stencil,
         )  # fmt: skip
-        self._sum_patches(precisions, weight_of_clear)
-        self.value += 0.5 * (1 - 1 / weight_of_clear) * float(self.clear @ np.square(u))
 
     def _sum_patches(self, precisions: np.ndarray, weight_of_clear: float) -> None:
         operator, device = self._operator, self._operator.device
@@ -187,15 +236,27 @@ class PatchQuadratic:
         """
         operator = self._operator
         operator.spread(x, scale)
-        operator.launch(
-            "add_stencil_product", self._tiles, tile_count=self._tiles, corner=self._corner, number=self._number,
-            halo=operator.halo, stencil=self._stencil, values=operator.values, factor=factor, result=result,
-        )  # fmt: skip
+        self._add_stencil_product(factor, result)
         operator.launch(
             "add_diagonal_product", operator.voxels, voxel_count=operator.voxels, place=operator.place,
             clear=self._clear, of_means=self._of_means, means=means, values=operator.values, factor=factor,
             result=result,
         )  # fmt: skip
+
+    def _add_stencil_product(self, factor: float, result: DeviceArray) -> None:
+        """Adds it; of several ranks each makes that of its tiles, apart, and all have all."""
+        operator, shares = self._operator, self._shares
+        alone = shares.owner is None
+        if not alone:
+            self._part.fill(0.0)
+        operator.launch(
+            "add_stencil_product", self._tiles, tile_count=self._tiles, corner=self._corner, number=self._number,
+            halo=operator.halo, stencil=self._stencil, values=operator.values, factor=factor,
+            result=result if alone else self._part,
+        )  # fmt: skip
+        if not alone:
+            self._part.set(shares.gathered(shares.taken(self._part.get())))
+            operator.vectors.add(1.0, self._part, result)
 
     @cached_property
     def _gradient(self) -> np.ndarray:

@@ -202,8 +202,9 @@ class GaussNewton:
         iteration = None if anneals else state.iterations - 1
         prior = problem.prior.frozen(state.extinction, iteration)
         if is_due(state.iterations):
-            model = _noisy_model(problem, state, jacobian, prior)
-            state = replace(state, returned=returned_share(model, np.random.default_rng([seed, stream])))
+            random = np.random.default_rng([seed, stream])
+            # The model is not kept: it holds on to the prior, which may be large.
+            state = replace(state, returned=returned_share(_noisy_model(problem, state, jacobian, prior), random))
         give_back(prior, state.extinction, state.returned)
         value, _ = prior.value_and_gradient(state.extinction, units)
         del prior  # it may be large
