@@ -176,6 +176,7 @@ class PatchQuadratic:
     @device_errors("the prior")
     def __init__(self, operator: PatchOperator, u: np.ndarray, noise: float, weight_of_clear: float = 1.0) -> None:
         self._operator, self._at = operator, u
+        self._gradient: np.ndarray | None = None
         device = operator.device
         self._component, self.value = operator.chosen_components(device.array(u.astype(np.float32)), noise)
         precisions = operator.mixture.precisions(noise)
@@ -258,10 +259,12 @@ class PatchQuadratic:
             self._part.set(shares.gathered(shares.taken(self._part.get())))
             operator.vectors.add(1.0, self._part, result)
 
-    @cached_property
-    def _gradient(self) -> np.ndarray:
-        """At u."""
-        return self._product(self._at, means=1.0)
+    def _gradient_at_u(self) -> np.ndarray:
+        # No cached_property: until Python 3.12 that is one lock for all objects, and ranks that are threads wait for
+        # each other in here.
+        if self._gradient is None:
+            self._gradient = self._product(self._at, means=1.0)
+        return self._gradient
 
     def times(self, change: np.ndarray) -> np.ndarray:
         """The second derivative's product with a vector, shape (voxels,), float64."""
@@ -271,7 +274,8 @@ class PatchQuadratic:
         """At another u."""
         change = u - self._at
         product = self.times(change)
-        return self.value + float((self._gradient + 0.5 * product) @ change), self._gradient + product
+        gradient = self._gradient_at_u()
+        return self.value + float((gradient + 0.5 * product) @ change), gradient + product
 
     def _product(self, x: np.ndarray, means: float) -> np.ndarray:
         device = self._operator.device

@@ -77,6 +77,9 @@ class RadianceTable:
         column[mask] = np.arange(self.columns)
         self.column = device.constant(column)
         self._voxel = device.constant(np.flatnonzero(mask).astype(np.int32))
+        self._scattered: Any = None
+        self._source: Any = None
+        self._sunlight: Any = None
         features = (*operator.features, *FEATURES)
         self._gradient_paths = device.kernel("derivatives", "gradient_paths", features)
         self._direct_sunlight = device.kernel("derivatives", "direct_sunlight", features)
