@@ -238,7 +238,7 @@ class Assumptions:
     copy: float = 2e-5
     network: float = 1.0e10
     latency: float = 5e-6
-    host: float = 0.02
+    host: float = 0.01
     balance: float = 0.95
 
 
@@ -251,7 +251,7 @@ DERIVATIVES, PHOTONS = (2.5e7, 1.2e7, 6.0e6), (9.3e8, 1.1e9, 6.8e8)
 
 @dataclass(frozen=True)
 class Size:
-    """Of a scene: its grid, voxels that may hold cloud, pixels that see them, slabs of voxels in a tile, a path's work."""
+    """Of a scene: its grid, voxels that may hold cloud, pixels that see them, slabs in a tile, work of its paths."""
 
     name: str
     grid: float
