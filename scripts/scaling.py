@@ -1,6 +1,7 @@
 """How recoveries scale with ranks: what one and two take here, and a model of many.
 
     python scripts/scaling.py measure scaling.json       # scene C: two threads of one process, and two ranks, in turn
+    python scripts/scaling.py efficiency scaling.json    # what came of it: two ranks against two threads
     python scripts/scaling.py predict scaling.json       # a model; its assumptions are options, and printed with it
 
 Measures renders (the same paths: strong; as many more as there are ranks: weak) and iterations of Gauss-Newton on the
@@ -30,33 +31,38 @@ SEED = 2
 MARGIN = 2
 
 
-def timed_methods() -> dict[str, list[tuple[Any, str]]]:
-    """What is timed, by kind: work that ranks share (paths, products, exchange), and what every rank does."""
+def timed_methods(ranks: Any) -> dict[str, list[tuple[Any, str]]]:
+    """What is timed, by kind; what is told other ranks is part of the other kinds, too."""
+    from cloudtomo_cl.inversion.patch_operator import PatchOperator, PatchQuadratic
     from cloudtomo_cl.transport.derivatives import RadianceTable
     from cloudtomo_cl.transport.jacobian import Jacobian, JacobianSums
     from cloudtomo_cl.transport.radiance import RadianceOperator
 
     return {
-        "paths": [(RadianceOperator, "_walk"), (JacobianSums, "_add_rows"), (RadianceTable, "_walk")],
+        "paths": [(RadianceOperator, "_walk"), (JacobianSums, "_add_rows")],
         "products": [(Jacobian, "times"), (Jacobian, "transposed"), (Jacobian, "curvature")],
+        "prior": [
+            (PatchOperator, "chosen_components"), (PatchQuadratic, "_assemble"), (PatchQuadratic, "add_product"),
+        ],
         "table": [(RadianceTable, "prepare")],
-    }
+        "told": [(type(ranks), name) for name in ("joined", "exchange", "_added", "all", "any") if ranks.size > 1],
+    }  # fmt: skip
 
 
 def _awaited(result: Any, owner: Any) -> Any:
     """A result, once the kernels have run that products only start."""
-    structure = getattr(owner, "_structure", None)
-    if structure is not None:
-        structure.device.queue.finish()
+    part = getattr(owner, "_structure", getattr(owner, "_operator", owner))
+    if hasattr(part, "device"):
+        part.device.queue.finish()
     return result
 
 
 class Clock:
     """Seconds by kind, of the clock and of the processor, and how many calls."""
 
-    def __init__(self) -> None:
+    def __init__(self, ranks: Any) -> None:
         self.clear()
-        for kind, methods in timed_methods().items():
+        for kind, methods in timed_methods(ranks).items():
             for owner, name in methods:
                 setattr(owner, name, self._timed(kind, getattr(owner, name)))
 
@@ -100,7 +106,7 @@ def work(kind: str) -> dict[str, Any]:
     from cloudtomo_cl.parallel.launched import launched_ranks
 
     device = ct.choose_device(communicator=launched_ranks())
-    ranks, clock = device.ranks, Clock()
+    ranks, clock = device.ranks, Clock(device.ranks)
     found = (renders if kind == "renders" else iterations)(device, clock)
     status = Path("/proc/self/status").read_text()
     found["peak"] = int(status.split("VmHWM:")[1].split()[0]) * 1024
@@ -118,7 +124,7 @@ def renders(device: Any, clock: Clock) -> dict[str, Any]:
         clock.clear()
         device.ranks.all(None)
         clock.of(name, lambda samples=samples: operator.render(extinction, samples, SEED))
-        found[name] = {"wall": clock.wall[name], "cpu": clock.cpu["paths"]}
+        found[name] = {"wall": clock.wall[name], "cpu": clock.cpu["paths"], "told": clock.cpu["told"]}
     return found
 
 
@@ -147,6 +153,7 @@ def iterations(device: Any, clock: Clock) -> dict[str, Any]:
         "wall": {name: value / ITERATIONS for name, value in clock.wall.items()},
         "cpu": {name: value / ITERATIONS for name, value in clock.cpu.items()},
         "products": clock.calls["products"] / ITERATIONS,
+        "prior": clock.calls["prior"] / ITERATIONS,
         "sent": (device.ranks.sent - sent) / ITERATIONS,
         "paths": paths / ITERATIONS,
         "pixels": len(problem.active),
@@ -177,47 +184,97 @@ def measure(file: Path, repeats: int, kinds: list[str], mpiexec: list[str]) -> N
                 found[kind].append({"load": os.getloadavg()[0], **launched(kind, ranks, mpiexec)})
                 print(json.dumps(found[kind][-1]), flush=True)
     file.write_text(json.dumps(found, indent=1) + "\n")
+    efficiency(file)
+
+
+def efficiency(file: Path) -> None:
+    """Prints how fast two ranks are over one process, by the medians of all runs."""
+    found = json.loads(file.read_text())
+    for kind, place in (("renders", "strong"), ("iterations", None)):
+        numbers: dict[tuple[int, str], list[float]] = defaultdict(list)
+        for run in found.get(kind, []):
+            ranks = [rank[place] if place else rank for rank in run["rank"]]
+            walls, cpus = (
+                [one[name] if place else one[name]["iteration"] for one in ranks] for name in ("wall", "cpu")
+            )
+            told = [one["told"] if place else one["cpu"].get("told", 0.0) for one in ranks]
+            numbers[run["ranks"], "clock"].append(max(walls))
+            numbers[run["ranks"], "CPU seconds"].append(max(cpus) * run["ranks"])
+            work = max(cpu - part for cpu, part in zip(cpus, told))
+            numbers[run["ranks"], "CPU seconds without those in MPI"].append(work * run["ranks"])
+        for name in ("clock", "CPU seconds", "CPU seconds without those in MPI"):
+            if numbers[1, name] and numbers[2, name]:
+                one, two = (float(np.median(numbers[ranks, name])) for ranks in (1, 2))
+                print(f"{kind}, by {name}: {one:.2f} s, {two:.2f} s: efficiency of two ranks {one / two:.2f}")
+    peaks: dict[int, list[int]] = {1: [], 2: []}
+    for run in found.get("iterations", []):
+        peaks[run["ranks"]] += [rank["peak"] for rank in run["rank"]]
+    if peaks[1] and peaks[2]:
+        print(f"memory at its largest: {min(peaks[1]) / 1e6:.0f} MB, a rank of two {min(peaks[2]) / 1e6:.0f} MB")
 
 
 @dataclass(frozen=True)
 class Assumptions:
-    """Of the model. Seconds and bytes; speeds are those of one core of the machine that was measured, times a factor.
+    """Of the model: those of a GPU are of an H200 (docs/measurements/gpu.md), the others are guesses.
 
     Attributes
     ----------
-    cores : of a device: what its speed in paths is, over one core
-    memory : bytes per second that products with the Jacobian read, on a device
-    host : speed of what every rank does alike, over one core here
+    image : paths per second of images, scene C
+    steps : what an iteration of scene C takes beside paths, s: launches and small kernels of the minimisation, which
+        neither ranks nor fewer voxels make shorter
+    memory : bytes per second that a device reads
+    bus : bytes per second between device and host
+    copy : that a small copy between them takes, s
     network : bytes per second of a rank to others
     latency : of a message, s
+    host : NumPy's work of scene C that grows with the voxels, s
     balance : the mean over the largest share of the paths' work
     """
 
-    cores: float = 80.0
+    image: float = 3.8e8
+    steps: float = 0.47
     memory: float = 1.5e12
-    host: float = 1.0
+    bus: float = 2.5e10
+    copy: float = 2e-5
     network: float = 1.0e10
     latency: float = 5e-6
+    host: float = 0.01
     balance: float = 0.95
+
+
+# Bytes of the prior's stencil for a voxel, of scene C.
+STENCIL = 2450
+# Of an H200, on grids of so many voxels: paths per second of derivatives, photons per second.
+GRIDS = (38**3, 64**3, 128**3)
+DERIVATIVES, PHOTONS = (2.5e7, 1.2e7, 6.0e6), (9.3e8, 1.1e9, 6.8e8)
 
 
 @dataclass(frozen=True)
 class Size:
-    """Of a scene: voxels that may hold cloud, pixels that see them, slabs of voxels in a tile, work of a path."""
+    """Of a scene: its grid, voxels that may hold cloud, pixels that see them, slabs in a tile, work of its paths."""
 
     name: str
+    grid: float
     voxels: float
     pixels: float
     slabs: float
-    path: float  # over scene C's (docs/measurements/speed.md, growth)
+    path: float  # of an image, over scene C's (docs/measurements/speed.md, growth)
+
+    def rate(self, rates: tuple[float, ...]) -> float:
+        """Between and beyond the grids that were measured, by powers."""
+        places, logs, at = np.log(GRIDS), np.log(rates), np.log(self.grid)
+        beyond = max(at - places[-1], 0.0) * (logs[-1] - logs[-2]) / (places[-1] - places[-2])
+        return float(np.exp(np.interp(at, places, logs) + beyond))
 
 
 def sizes(measured: dict[str, Any]) -> list[Size]:
     """Scene C as measured; the others by their grids: as large a share of voxels and pixels."""
-    c = Size("C, 38^3", measured["voxels"], measured["pixels"], measured["entries"] / measured["pixels"] / 25, 1.0)
+    slabs = measured["entries"] / measured["pixels"] / 25
+    c = Size("C, 38^3", 38**3, measured["voxels"], measured["pixels"], slabs, 1.0)
 
     def like_c(name: str, voxels: float, pixels: float, edge: float, path: float) -> Size:
-        return Size(name, c.voxels * voxels / 38**3, c.pixels * pixels / 76**2, c.slabs * edge / 38, path)
+        share = voxels / c.grid
+        return Size(name, voxels, c.voxels * share, c.pixels * pixels / 76**2, c.slabs * edge / 38, path)
 
     return [
         c,
@@ -229,43 +286,42 @@ def sizes(measured: dict[str, Any]) -> list[Size]:
 
 def predicted(size: Size, measured: dict[str, Any], ranks: int, given: Assumptions) -> dict[str, float]:
     """Seconds of an iteration, by kind, and GB on a rank and sent by it."""
-    cells = measured["cells"] / measured["voxels"] * size.voxels
-    table = 8 * measured["bins"] * cells
-    entries = 25 * size.slabs * size.pixels
-    paths = measured["paths"] / measured["voxels"] * size.voxels
-    hops = np.ceil(np.log2(ranks)) if ranks > 1 else 0.0
-    own, alike = measured["cpu"], measured["cpu"]
-    beside = alike["iteration"] - own["paths"] - own["products"]
     grown = size.voxels / measured["voxels"]
-    several = (ranks - 1) / ranks
-    vectors = measured["products"] * 2 * (size.pixels + size.voxels)  # 4 bytes each, one of two in each product
+    entries, cells = 25 * size.slabs * size.pixels, measured["cells"] * grown
+    table, stencil = 8 * measured["bins"] * cells, STENCIL * size.voxels
+    paths = measured["paths"] * grown / 6  # of derivatives; of images five times as many
+    products, of_prior = measured["products"], measured["prior"]
+    hops, several = float(np.ceil(np.log2(ranks))), (ranks - 1) / ranks
+    traffic = (products * 12 * entries + of_prior * stencil) / given.memory
+    vectors = 4 * (products / 2 * (size.pixels + size.voxels) + of_prior * size.voxels)
+    messages = (products + of_prior) * (ranks > 1)
+    walked = paths / size.rate(DERIVATIVES) + 5 * paths * size.path / given.image + paths / size.rate(PHOTONS)
     seconds = {
-        "paths": own["paths"] / measured["paths"] * paths * size.path / given.cores / ranks / given.balance,
-        "products": measured["products"] * 12 * entries / given.memory / ranks,
-        "alike": beside * grown / given.host,
-        "table": 2 * several * table / given.network + 2 * hops * given.latency,
-        "vectors": several * vectors / given.network + measured["products"] * hops * given.latency,
-        "values": several * 4 * entries / ranks / given.network + (ranks - 1) * given.latency,
+        "paths": walked / ranks / given.balance if ranks > 1 else walked,
+        "steps": given.steps + traffic / ranks,
+        "host": given.host * grown,
+        "table": (ranks > 1) * 2 * table / given.bus + 2 * several * table / given.network + 2 * hops * given.latency,
+        "vectors": several * vectors / given.network + messages * (2 * given.copy + hops * given.latency),
+        "values": several * 8 * entries / ranks * (1 / given.network + 1 / given.bus),
     }
-    gb = (20 * entries / ranks + 1.5 * table + 4 * paths / 6 / ranks) / 1e9
+    gb = ((20 if ranks == 1 else 24) * entries / ranks + 2 * table + stencil / ranks + 4 * paths / ranks) / 1e9
     return seconds | {"GB": gb, "sent GB": (table + vectors / ranks + 4 * entries / ranks) / 1e9 * (ranks > 1)}
 
 
 def predict(file: Path, given: Assumptions) -> None:
     runs = [run["rank"][0] for run in json.loads(file.read_text())["iterations"] if run["ranks"] == 1]
-    measured = runs[int(np.argmin([run["cpu"]["iteration"] for run in runs]))]
+    measured, kinds_ = runs[0], ("paths", "steps", "host", "table", "vectors", "values")
     print("A model, no measurement:", ", ".join(f"{name} {value:g}" for name, value in asdict(given).items()))
-    kinds_ = ("paths", "products", "alike", "table", "vectors", "values")
     print("\n| scene | ranks | s an iteration | speed-up | " + " | ".join(kinds_) + " | GB a rank | GB sent |")
     print("|---" * (len(kinds_) + 6) + "|")
     for size in sizes(measured):
         alone = 0.0
-        for ranks in (1, 8, 64, 256, 1000):
+        for ranks in (1, 8, 64, 1000):
             found = predicted(size, measured, ranks, given)
             total = sum(found[kind] for kind in kinds_)
             alone = alone or total
-            shares = " | ".join(f"{found[kind] / total:.0%}" for kind in kinds_)
-            ends = f"{found['GB']:.3g} | {found['sent GB']:.3g}"
+            shares = " | ".join(f"{found[kind]:.2g}" for kind in kinds_)
+            ends = f"{found['GB']:.2g} | {found['sent GB']:.2g}"
             print(f"| {size.name} | {ranks} | {total:.3g} | {alone / total:.1f} | {shares} | {ends} |")
 
 
@@ -277,6 +333,7 @@ def main() -> None:
     one.add_argument("--repeats", type=int, default=3)
     one.add_argument("--kinds", nargs="+", choices=("renders", "iterations"), default=["renders", "iterations"])
     one.add_argument("--mpiexec", nargs="+", default=["mpiexec"], help="and its options")
+    commands.add_parser("efficiency", help="what was measured").add_argument("file", type=Path)
     commands.add_parser("work", help="what ranks do").add_argument("kind", choices=("renders", "iterations"))
     model = commands.add_parser("predict", help="by a model")
     model.add_argument("file", type=Path)
@@ -286,6 +343,8 @@ def main() -> None:
     command = options.pop("command")
     if command == "measure":
         measure(**options)
+    elif command == "efficiency":
+        efficiency(**options)
     elif command == "predict":
         predict(options.pop("file"), Assumptions(**options))
     else:

@@ -14,7 +14,10 @@ from cloudtomo_cl.inversion.vectors import Vectors
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
+from cloudtomo_cl.parallel.ranks import Ranks, Shares
 
+# Ranks have patches, and tiles of the stencil, in blocks of so many.
+_PATCHES_OF_BLOCK, _TILES_OF_BLOCK = 64, 8
 # Voxels of a tile of the stencil, in a row along z; and what stands for a patch that holds no voxel of the mask.
 _LANES, _NO_PATCH = 8, 65535
 
@@ -66,6 +69,32 @@ class _Components:
         return cls(noise, **kept, diagonal=np.diagonal(precisions, axis1=1, axis2=2).copy())
 
 
+@dataclass(frozen=True, eq=False)
+class Tiles:
+    """Tiles of the stencil, of which every rank has some.
+
+    Attributes
+    ----------
+    corners, numbers : of this rank's, their first voxels, and their voxels' numbers
+    voxels : which rank makes the product of which voxel
+    """
+
+    corners: np.ndarray
+    numbers: np.ndarray
+    voxels: Shares
+
+    @classmethod
+    def dealt(cls, corners: np.ndarray, numbers: np.ndarray, voxels: int, ranks: Ranks) -> Tiles:
+        """Deals all tiles out."""
+        shares = ranks.dealt(np.arange(len(corners)) // _TILES_OF_BLOCK)
+        if shares.owner is None:
+            return cls(corners, numbers, Shares(ranks, voxels))
+        owner = np.zeros(voxels, shares.owner.dtype)
+        inside = numbers >= 0
+        owner[numbers[inside]] = np.broadcast_to(shares.owner[:, None], numbers.shape)[inside]
+        return cls(shares.taken(corners), shares.taken(numbers), Shares(ranks, voxels, owner))
+
+
 class PatchOperator:
     """What does not change from step to step.
 
@@ -87,7 +116,10 @@ class PatchOperator:
         self.halo = tuple(np.array([*mask.shape[:2], tiles_along * _LANES]) + 2 * margins)
         at = np.argwhere(mask)
         constant = device.constant
-        self.voxel, self.centre = constant(_ushort4(at)), constant(_ushort4(patches.centres))
+        self.voxel = constant(_ushort4(at))
+        self._shares = device.ranks.dealt(np.arange(len(patches)) // _PATCHES_OF_BLOCK)
+        self._own_centres = self._shares.taken(patches.centres)
+        self._centre = constant(_ushort4(self._own_centres))
         self.place = constant(np.ravel_multi_index(tuple((at + margins).T), self.halo).astype(np.uint32))
         # Tiles that hold a voxel of the mask, and its numbers.
         numbers = np.full((*mask.shape[:2], tiles_along * _LANES), -1, np.int32)
@@ -132,28 +164,38 @@ class PatchOperator:
         u : extinction in units of s; it is spread
         noise : standard deviation that patches are known to, in units of s
         """
+        shares = self._shares
+        component, cost = self.device.ranks.together(lambda: self._chosen_of_rank(u, noise))
+        if shares.owner is not None:
+            found = component.get()
+            found[tuple(self.patches.centres.T)] = shares.gathered(found[tuple(self._own_centres.T)])
+            component.set(found)
+        self._guess = component
+        return component, float(np.sum(shares.gathered(cost.get()[: len(shares)]), dtype=np.float64))
+
+    def _chosen_of_rank(self, u: DeviceArray, noise: float) -> tuple[DeviceArray, DeviceArray]:
+        """Components and costs of this rank's patches."""
         self.spread(u)
-        device, mixture, count = self.device, self.components(noise), len(self.patches)
+        device, mixture, count = self.device, self.components(noise), len(self._shares)
         # The last ones are a good guess, and no more.
         component = self._guess.copy()
-        cost = device.empty(count, np.float32)
+        cost = device.empty(max(count, 1), np.float32)
         self.launch(
-            "choose_components", count, patch_count=count, centre=self.centre, shape=self.shape, halo=self.halo,
+            "choose_components", count, patch_count=count, centre=self._centre, shape=self.shape, halo=self.halo,
             values=self.values, component_count=len(self.mixture), whitening=mixture.whitening,
             white_means=mixture.white_means, constants=mixture.constants, component=component, cost=cost,
         )  # fmt: skip
-        self._guess = component
-        return component, float(np.sum(cost.get(), dtype=np.float64))
+        return component, cost
 
-    def tiles_near_cloud(self, component: DeviceArray) -> tuple[np.ndarray, np.ndarray]:
-        """Those with a voxel in a patch that has cloud: their first voxels, and their voxels' numbers."""
+    def tiles_near_cloud(self, component: DeviceArray) -> Tiles:
+        """Those with a voxel in a patch that has cloud."""
         reached = self.device.empty(len(self._corners), np.uint8)
         self.launch(
             "find_tiles", len(self._corners), tile_count=len(self._corners), corner=self._all_corners,
             shape=self.shape, component=component, reached=reached,
         )  # fmt: skip
         chosen = np.flatnonzero(reached.get())
-        return self._corners[chosen], self._numbers[chosen]
+        return Tiles.dealt(self._corners[chosen], self._numbers[chosen], self.voxels, self.device.ranks)
 
 
 class PatchQuadratic:
@@ -174,12 +216,21 @@ class PatchQuadratic:
     @device_errors("the prior")
     def __init__(self, operator: PatchOperator, u: np.ndarray, noise: float, weight_of_clear: float = 1.0) -> None:
         self._operator, self._at = operator, u
+        self._gradient: np.ndarray | None = None
         device = operator.device
         self._component, self.value = operator.chosen_components(device.array(u.astype(np.float32)), noise)
         components = operator.components(noise)
-        corners, numbers = operator.tiles_near_cloud(self._component)
-        self._tiles = len(corners)
-        self._corner, self._number = device.constant(corners), device.constant(numbers)
+        tiles = operator.tiles_near_cloud(self._component)
+        self._tiles, self._shares = len(tiles.corners), tiles.voxels
+        self._corner, self._number = device.constant(tiles.corners), device.constant(tiles.numbers)
+        self._part = operator.vectors.zeros()
+        device.ranks.together(lambda: self._assemble(components))
+        self._sum_patches(components, weight_of_clear)
+        self.value += 0.5 * (1 - 1 / weight_of_clear) * float(self.clear @ np.square(u))
+
+    def _assemble(self, components: _Components) -> None:
+        """Makes the stencil of this rank's tiles."""
+        operator, device = self._operator, self._operator.device
         self._stencil = device.empty(max(self._tiles, 1) * operator.offsets * _LANES, np.float32)
         columns = operator.offsets // (2 * operator.mixture.size[2] - 1)
         operator.launch(
@@ -187,8 +238,6 @@ class PatchQuadratic:
             number=self._number, shape=operator.shape, component=self._component,
             precision=components.precision, stencil=self._stencil,
         )  # fmt: skip
-        self._sum_patches(components, weight_of_clear)
-        self.value += 0.5 * (1 - 1 / weight_of_clear) * float(self.clear @ np.square(u))
 
     def _sum_patches(self, components: _Components, weight_of_clear: float) -> None:
         operator, device = self._operator, self._operator.device
@@ -201,6 +250,11 @@ class PatchQuadratic:
             diagonal_of=device.constant(diagonals.astype(np.float32)), of_means=self._of_means,
             clear=self._clear, diagonal=self._diagonal,
         )  # fmt: skip
+
+    @property
+    def launches_alone(self) -> bool:
+        """Whether products are launches and nothing else: of one rank."""
+        return self._shares.owner is None
 
     @cached_property
     def components(self) -> np.ndarray:
@@ -227,20 +281,34 @@ class PatchQuadratic:
         """
         operator = self._operator
         operator.spread(x, scale)
-        operator.launch(
-            "add_stencil_product", self._tiles, tile_count=self._tiles, corner=self._corner, number=self._number,
-            halo=operator.halo, stencil=self._stencil, values=operator.values, factor=factor, result=result,
-        )  # fmt: skip
+        self._add_stencil_product(factor, result)
         operator.launch(
             "add_diagonal_product", operator.voxels, voxel_count=operator.voxels, place=operator.place,
             clear=self._clear, of_means=self._of_means, means=means, values=operator.values, factor=factor,
             result=result,
         )  # fmt: skip
 
-    @cached_property
-    def _gradient(self) -> np.ndarray:
-        """At u."""
-        return self._product(self._at, means=1.0)
+    def _add_stencil_product(self, factor: float, result: DeviceArray) -> None:
+        """Adds it; of several ranks each makes that of its tiles, apart, and all have all."""
+        operator, shares = self._operator, self._shares
+        alone = shares.owner is None
+        if not alone:
+            self._part.fill(0.0)
+        operator.launch(
+            "add_stencil_product", self._tiles, tile_count=self._tiles, corner=self._corner, number=self._number,
+            halo=operator.halo, stencil=self._stencil, values=operator.values, factor=factor,
+            result=result if alone else self._part,
+        )  # fmt: skip
+        if not alone:
+            self._part.set(shares.gathered(shares.taken(self._part.get())))
+            operator.vectors.add(1.0, self._part, result)
+
+    def _gradient_at_u(self) -> np.ndarray:
+        # No cached_property: until Python 3.12 that is one lock for all objects, and ranks that are threads wait for
+        # each other in here.
+        if self._gradient is None:
+            self._gradient = self._product(self._at, means=1.0)
+        return self._gradient
 
     def times(self, change: np.ndarray) -> np.ndarray:
         """The second derivative's product with a vector, shape (voxels,), float64."""
@@ -250,7 +318,8 @@ class PatchQuadratic:
         """At another u."""
         change = u - self._at
         product = self.times(change)
-        return self.value + float((self._gradient + 0.5 * product) @ change), self._gradient + product
+        gradient = self._gradient_at_u()
+        return self.value + float((gradient + 0.5 * product) @ change), gradient + product
 
     def _product(self, x: np.ndarray, means: float) -> np.ndarray:
         device = self._operator.device

@@ -150,7 +150,11 @@ class PatchTerm:
     factor: float
     scale: float
     quadratic: ClassVar[bool] = True
-    launches_alone: ClassVar[bool] = True
+
+    @property
+    def launches_alone(self) -> bool:
+        """See `Term`."""
+        return self.patches.launches_alone
 
     def add_gradient(self, x: DeviceArray, result: DeviceArray) -> None:
         factor = self.factor * self.scale

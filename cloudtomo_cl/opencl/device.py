@@ -322,9 +322,20 @@ class Device:
         memory = getattr(buffer, "data", buffer)
         cl.enqueue_fill_buffer(self.queue, memory, np.zeros(1, np.uint8), 0, memory.size)
 
-    def read(self, buffer: Any, values: np.ndarray) -> None:
-        """Copies a buffer into an array of the host, whose dtype says what it holds."""
-        _import_pyopencl().enqueue_copy(self.queue, values, buffer)
+    def read(self, buffer: Any, values: np.ndarray, offset: int = 0) -> None:
+        """Copies a buffer from so many bytes on into an array of the host, whose dtype says what it holds."""
+        _import_pyopencl().enqueue_copy(self.queue, values, buffer, src_offset=offset)
+
+    def write(self, buffer: Any, values: np.ndarray, offset: int = 0) -> None:
+        """Copies an array of the host into a buffer, from so many bytes on."""
+        _import_pyopencl().enqueue_copy(self.queue, buffer, np.ascontiguousarray(values), dst_offset=offset)
+
+    def copied(self, array: DeviceArray) -> np.ndarray:
+        """A copy of a large array on the host: of pyopencl's own (`get`) the array on the device keeps hold."""
+        values = np.empty(array.shape, array.dtype)
+        if values.size:
+            self.read(array.data, values)
+        return values
 
     def is_array(self, value: Any) -> bool:
         """Whether something is an array on a device."""

@@ -126,11 +126,11 @@ class _Exchanged:
         return self._device.zeros(max(len(self._place), 1), np.float32), self._device.zeros(shape, np.float32)
 
     def refresh(self, near: DeviceArray, far: DeviceArray, arrays: tuple[DeviceArray, DeviceArray]) -> None:
-        values = self._exchanged(near.get()[: len(self._order)])
+        values = self._exchanged(self._device.copied(near)[: len(self._order)])
         if len(values):
-            arrays[0].set(values[self._place])
+            self._device.write(arrays[0].data, values[self._place])
         del values
-        own = far.get()
+        own = self._device.copied(far)
         whole = np.empty((self._pixel_blocks, len(self.blocks)), np.float32)
         # So many rows at a time that what is on its way is small beside what stays.
         at_once = max(max(map(len, self._rows_of)) // _PARTS, 1)
@@ -141,4 +141,4 @@ class _Exchanged:
             for rows, part in zip(rows_of, parts):
                 whole[rows] = part.reshape(len(rows), len(self.blocks))
         if len(self.blocks):
-            arrays[1].set(whole)
+            self._device.write(arrays[1].data, whole)

@@ -22,6 +22,8 @@ _PATHS_PER_RAY = 4
 # Of an entry on the device: its sum, and the two numbers that become of it. On the host, where several ranks add up:
 # their sums.
 _BYTES_PER_ENTRY, _LARGEST_BYTES, _HOST_BYTES = 16, 8, 24
+# In which ranks add up their sums.
+_SUMMED_PARTS = 8
 # Kernels count the table's entries with signed integers of 32 bits.
 _MOST_ENTRIES = 2**31 - 1
 
@@ -75,6 +77,9 @@ class RadianceTable:
         column[mask] = np.arange(self.columns)
         self.column = device.constant(column)
         self._voxel = device.constant(np.flatnonzero(mask).astype(np.int32))
+        self._scattered: Any = None
+        self._source: Any = None
+        self._sunlight: Any = None
         features = (*operator.features, *FEATURES)
         self._gradient_paths = device.kernel("derivatives", "gradient_paths", features)
         self._direct_sunlight = device.kernel("derivatives", "direct_sunlight", features)
@@ -121,10 +126,11 @@ class RadianceTable:
         divided = Cells.of(extinction[self._mask], spacing, scene.cloud.phase_function.g, within)
         self.cells = len(divided)
         self._places = device.constant(divided.places)
+        self.release()
         sums = device.zeros((self.cells, BINS), np.int64)
         unit = operator.ranks.together(lambda: self._filled(rendering, sums))
         if operator.ranks.size > 1:
-            sums.set(summed(sums.get(), operator.ranks, "the radiance table", "cell and direction"))
+            self._add_ranks(sums)
         cell_column = device.constant(divided.voxel.astype(np.int32))
         overflown = device.zeros(1, np.uint32)
         self._scattered = device.empty((self.cells, BINS), np.float32)
@@ -145,6 +151,20 @@ class RadianceTable:
             cell_column=cell_column, count=self.cells, sunlight=self._sunlight,
         )  # fmt: skip
         self._sunlight *= np.float32(self._albedo)
+
+    def release(self) -> None:
+        """Frees the device's memory of the last table."""
+        self._scattered = self._source = self._sunlight = None
+
+    def _add_ranks(self, sums: DeviceArray) -> None:
+        """Makes the sums those of all ranks, some cells at a time: the host has no room for as much as devices."""
+        device, ranks = self._operator.device, self._operator.ranks
+        at_once = -(-self.cells // _SUMMED_PARTS)
+        for begin in range(0, self.cells, at_once):
+            part = np.empty((min(at_once, self.cells - begin), BINS), sums.dtype)
+            offset = begin * BINS * sums.dtype.itemsize
+            device.read(sums.data, part, offset)
+            device.write(sums.data, summed(part, ranks, "the radiance table", "cell and direction"), offset)
 
     def _filled(self, rendering: Rendering, sums: DeviceArray) -> float:
         """Adds what this rank's photons bring; returns what `Photons.fill` does."""

@@ -74,7 +74,6 @@ def scattering_matrix(phase_function: PhaseFunction) -> np.ndarray:
     return matrix / matrix.sum(axis=1, keepdims=True)
 
 
-@lru_cache
 def _harmonics() -> tuple[np.ndarray, np.ndarray]:
     """Means of the real spherical harmonics over the bins.
 

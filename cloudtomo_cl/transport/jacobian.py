@@ -22,8 +22,8 @@ from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.near_field import Blocks, pixel_blocks, tiles_of, voxel_blocks
 from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering
 
-# Slots of tiles whose sums are made at a time.
-_SLOTS_AT_ONCE = 1 << 24
+# Slots of tiles whose sums are made at a time; a CPU is busy with fewer paths, and they take memory.
+_SLOTS_AT_ONCE, _SLOTS_ON_CPU = 1 << 24, 1 << 20
 _MOST_ENTRIES = 2**32 - 1
 
 
@@ -80,7 +80,7 @@ class NearField:
         self.row_start = constant(row_start.astype(np.uint32))
         self.columns = self.device.empty(max(self.entries, 1), np.int32)
         self._launch("near_fill", row_start=self.row_start, columns=self.columns)
-        self.by_voxel: ByVoxel = by_voxel(self, row_start, self.columns.get()[: self.entries])
+        self.by_voxel: ByVoxel = by_voxel(self, row_start, self.device.copied(self.columns)[: self.entries])
 
     def _launch(self, name: str, **arguments: Any) -> None:
         if self.rows:
@@ -288,6 +288,7 @@ class JacobianSums:
         """
         self._table.prepare(rendering)
         self._operator.ranks.together(lambda: self._add_rows(rendering, rate))
+        self._table.release()
         self.structure.by_voxel.refresh(self._near, self._far, self._by_voxel)
 
     def _add_rows(self, rendering: Rendering, rate: float) -> None:
@@ -338,6 +339,8 @@ class JacobianSums:
         """Pixels whose sums are made at a time: the first, and how many."""
         start, parts, first = self.structure.slot_start_on_host, [], 0
         most = _SLOTS_AT_ONCE // self._operator.ranks.size
+        if not self._operator.device.regenerates:
+            most = min(most, _SLOTS_ON_CPU)
         while first < self.structure.rows:
             last = int(np.searchsorted(start, start[first] + most, side="right")) - 1
             last = min(max(last, first + 1), self.structure.rows)

@@ -33,10 +33,11 @@ class VirtualCollisions:
     """
 
     def __init__(self, device: Device, features: tuple[str, ...]) -> None:
-        self._device = device
-        self._replay_paths = device.kernel("replay", "replay_paths", features)
-        self._virtual_paths = device.kernel("virtual", "virtual_paths", features)
-        self._path_lengths = device.kernel("lengths", "path_lengths", features)
+        self._device, self._features = device, features
+
+    def _kernel(self, file: str, name: str) -> Any:
+        """One of its kernels: most operators never replay a path, and need not have them."""
+        return self._device.kernel(file, name, self._features)
 
     def run(self, launch: StoredLaunch, **arguments: Any) -> None:
         """Replays the paths of a launch, and walks those from their virtual collisions.
@@ -49,12 +50,13 @@ class VirtualCollisions:
         for begin in range(0, launch.paths, part):
             count = self._device.zeros(1, np.uint32)
             launch.run_part(
-                self._replay_paths, begin, min(begin + part, launch.paths), **arguments,
+                self._kernel("replay", "replay_paths"), begin, min(begin + part, launch.paths), **arguments,
                 virtual_collisions=collisions, virtual_collision_count=count,
             )  # fmt: skip
             found = int(count.get()[0])
             if found:
-                launch.walk(self._virtual_paths, found, **arguments, virtual_collisions=collisions, count=found)
+                kernel = self._kernel("virtual", "virtual_paths")
+                launch.walk(kernel, found, **arguments, virtual_collisions=collisions, count=found)
 
     def extinction(self, operator: RadianceOperator, rendering: Rendering, limit: float | None) -> Any:
         """Of the virtual droplets, km^-1, on the device, float32, shape of the grid; -1 outside of the mask.
@@ -86,7 +88,7 @@ class VirtualCollisions:
         given |= {"pixels": self._device.constant(chosen.pixels), "pixel_count": len(chosen.pixels)}
         lengths = self._device.zeros(operator.scene.grid.shape, np.int64)
         unit = 1.0 / (_UNIT * min(operator.scene.grid.spacing))
-        self._device.launch(self._path_lengths, paths, **given, unit=unit, lengths=lengths)
+        self._device.launch(self._kernel("lengths", "path_lengths"), paths, **given, unit=unit, lengths=lengths)
         sums = lengths.get()
         require_sums(sums, "the lengths of paths", "voxel")
         return sums / (unit * paths)
