@@ -10,7 +10,7 @@ from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.fixed_point import summed
 from cloudtomo_cl.opencl.memory import Footprint
-from cloudtomo_cl.transport.cells import Cells, depth_within, most_cells
+from cloudtomo_cl.transport.cells import Cells, depth_within, largest_beside, most_cells
 from cloudtomo_cl.transport.directions import BINS, FEATURES, scattering_matrix, solid_angles
 from cloudtomo_cl.transport.photons import Photons
 from cloudtomo_cl.transport.radiance import FIXED_POINT_SCALE, RadianceOperator, Rendering, largest_adjoint
@@ -117,8 +117,11 @@ class RadianceTable:
         operator, device, scene = self._operator, self._operator.device, self._operator.scene
         medium = rendering._medium
         extinction, spacing = medium.extinction.get(), scene.grid.spacing
-        within = depth_within(extinction, spacing, scene.boundary.horizontal == "periodic")[self._mask]
-        divided = Cells.of(extinction[self._mask], spacing, scene.cloud.phase_function.g, within)
+        is_periodic = scene.boundary.horizontal == "periodic"
+        around = (depth_within(extinction, spacing, is_periodic), largest_beside(extinction, is_periodic))
+        divided = Cells.of(
+            extinction[self._mask], spacing, scene.cloud.phase_function.g, *(field[self._mask] for field in around)
+        )
         self.cells = len(divided)
         self._places = device.constant(divided.places)
         sums = device.zeros((self.cells, BINS), np.int64)
