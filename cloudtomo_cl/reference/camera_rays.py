@@ -201,7 +201,8 @@ def _unwrapped(grid: Grid, point: np.ndarray) -> np.ndarray:
 def _steps(
     scene: Scene, table: Table, index: int, entry: np.ndarray, direction: np.ndarray, length: float, droplets: float
 ) -> list[tuple[int, float, float, float]]:
-    """Pieces of a crossing of a voxel: cell, from and to, km, and the mean of direct sunlight, in units of what it is in the voxel's lower corner."""
+    """Pieces of a crossing of a voxel: cell, from and to, km, and the mean of direct sunlight, in units of
+    what it is in the voxel's lower corner."""
     if index < 0:
         return [(-1, 0.0, length, 1.0)]
     spacing, sun = np.array(scene.grid.spacing), scene.sun.direction

@@ -9,8 +9,8 @@ import numpy as np
 # A cell is so deep at most, in optical depths divided by 1 - g, along every axis: light hardly changes within.
 _DEPTH = 0.25
 _LEAST_DEPTH = 0.5
-# Light changes fast below the cloud's surface, and across it. Inside, cells may be deeper along an axis, by so much for an
-# optical depth of 1 / (1 - g) along it.
+# Light changes fast below the cloud's surface, and across it. Inside, cells may be deeper along an axis, by so much for
+# an optical depth of 1 / (1 - g) along it.
 _COARSENING = 2.0
 # Beside a voxel so deep that it is divided light changes in thin ones, too: those with so much of its depth are halved.
 _THIN = 0.02
