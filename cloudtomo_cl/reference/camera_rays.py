@@ -1,11 +1,13 @@
 """The derivative of a camera ray's radiance by the source function along it.
 
 Written from the equations, one ray after the other, to check the kernels by (kernels/camera_rays.h). In pieces of the
-ray, k = 1 ... n, droplets have a source function S_k each; with t_k the depth of droplets up to the end of piece k,
+ray, k = 1 ... n, droplets have a source function S_k each:
 
-    R = sum over k of S_k (exp(-t_{k-1}) - exp(-t_k)) + radiance from behind,
+    R = sum over k of c_k S_k (exp(-t_{k-1}) - exp(-t_k)) + radiance from behind
 
-and a little more of droplets along l km of piece k changes that by l (S_k exp(-t_k) - R_{>k}).
+with t_k the depth of droplets and air up to the end of piece k, and c_k the droplets' share of it. A little more of
+droplets along l km of piece k changes that by l (S_k exp(-t_k) - R_{>k}). What air and ground send is the radiance of
+the ray's own path, where no droplet is the first that it meets.
 """
 
 from __future__ import annotations
@@ -57,7 +59,7 @@ class RayDerivative(NamedTuple):
 
     Attributes
     ----------
-    radiance : R, sr^-1 for a sun of irradiance 1
+    radiance : R, what droplets send, sr^-1 for a sun of irradiance 1
     derivative : sr^-1 km, shape of the grid
     """
 
@@ -75,8 +77,7 @@ class _Pieces:
     lengths : km
     sources : source functions, sr^-1
     depths : of droplets and air at the ends of the pieces, the first where the first one begins
-    droplets : of droplets alone, so
-    air_before : of air, where each piece's voxel begins
+    droplets : their share of each piece's depth
     has_left : whether the ray leaves the grid before that depth
     """
 
@@ -86,8 +87,13 @@ class _Pieces:
     sources: np.ndarray
     depths: np.ndarray
     droplets: np.ndarray
-    air_before: np.ndarray
     has_left: bool
+
+    @property
+    def sent(self) -> np.ndarray:
+        """By each, as the camera sees it, sr^-1."""
+        sent: np.ndarray = self.sources * self.droplets * -np.diff(np.exp(-self.depths))
+        return sent
 
 
 def direction_bin(direction: np.ndarray) -> int:
@@ -105,6 +111,7 @@ def ray_derivative(
     position: np.ndarray,
     direction: np.ndarray,
     optical_depth: float,
+    u_particle: float,
     path_radiance: float,
 ) -> RayDerivative:
     """What a ray adds to the derivative of its pixel's radiance.
@@ -113,6 +120,7 @@ def ray_derivative(
     ----------
     position, direction : of the ray, km
     optical_depth : up to which its path's first flight goes
+    u_particle : uniform number, by which the first particle is chosen
     path_radiance : of that path, sr^-1 for a sun of irradiance 1
     """
     derivative = np.zeros(scene.grid.shape)
@@ -120,31 +128,27 @@ def ray_derivative(
     all_pieces = _pieces(*ray, EXPECTED_DEPTH + optical_depth + DEPTH_BEHIND)
     if not np.any(all_pieces.cells >= 0):
         return RayDerivative(0.0, derivative)
-    behind = _behind(scene, table, all_pieces, direction, optical_depth, path_radiance)
-    radiance = np.sum(all_pieces.sources * -np.diff(np.exp(-all_pieces.droplets))) + behind
+    radiance = np.sum(all_pieces.sent) + _behind(table, all_pieces, direction)
     pieces = _pieces(*ray, EXPECTED_DEPTH + optical_depth)
-    left = np.exp(-pieces.droplets)
-    gathered = np.cumsum(pieces.sources * -np.diff(left))
-    changes = pieces.sources * left[1:] - (radiance - gathered)
+    ends = pieces.depths[1:]
+    met = (pieces.depths[:-1] < optical_depth) & (optical_depth <= ends) & (u_particle < pieces.droplets)
+    from_others = 0.0 if met.any() else path_radiance
+    behind = radiance - np.cumsum(pieces.sent) + from_others * (optical_depth > ends)
     ended = np.maximum(pieces.depths - EXPECTED_DEPTH, 0.0)
     for_all = np.exp((ended[:-1] + ended[1:]) / 2)  # flights that have got so far, for all
-    deposits = pieces.lengths * changes * for_all * np.exp(-pieces.air_before)
+    deposits = pieces.lengths * (pieces.sources * np.exp(-ends) - behind) * for_all
     for voxel, cell, deposit in zip(pieces.voxels, pieces.cells, deposits, strict=True):
         if cell >= 0:
             derivative[voxel] += deposit
     return RayDerivative(float(radiance), derivative)
 
 
-def _behind(
-    scene: Scene, table: Table, pieces: _Pieces, direction: np.ndarray, optical_depth: float, path_radiance: float
-) -> float:
-    """What comes from behind all pieces, as the camera sees it."""
-    has_air_outside = scene.air is not None and scene.air.is_outside
-    if pieces.has_left and not has_air_outside:
-        sees_ground = scene.surface.albedo > 0 and direction[2] < 0 and optical_depth > pieces.depths[-1]
-        return path_radiance if sees_ground else 0.0
+def _behind(table: Table, pieces: _Pieces, direction: np.ndarray) -> float:
+    """What droplets send from behind all pieces, as the camera sees it."""
+    if pieces.has_left:
+        return 0.0
     place = pieces.cells[pieces.cells >= 0][-1], direction_bin(direction)
-    return float(np.exp(-pieces.droplets[-1]) * (table.source[place] - table.scattered[place]))
+    return float(np.exp(-pieces.depths[-1]) * (table.source[place] - table.scattered[place]))
 
 
 def _pieces(
@@ -156,14 +160,14 @@ def _pieces(
     inside = (starts[0], starts[-1] + crossed[-1]) if len(voxels) else None
     outside, outside_starts, outside_lengths = outside_crossings(scene, position, direction, inside)
     before = outside_starts < (starts[0] if len(voxels) else 0.0)
-    air_depth = float(np.sum((outside * outside_lengths)[before]))
+    depth = first_depth = float(np.sum((outside * outside_lengths)[before]))
     column = np.full(grid.shape, -1)
     column[table.mask] = np.arange(table.mask.sum())
     levels, layers = air_layers(scene)
     lowest = int(np.argmin(np.abs(levels - grid.origin[2])))
     sun_density = droplet_density(scene, middle_row(scene), scene.sun.direction @ direction)
-    found: list[tuple[tuple[int, int, int], int, float, float, float, float, float]] = []
-    depth, has_left = air_depth, True
+    found: list[tuple[tuple[int, int, int], int, float, float, float, float]] = []
+    has_left = True
     for (x, y, z), start, whole in zip(voxels, starts, crossed, strict=True):
         droplets, air = extinction[x, y, z], layers[lowest + z]
         length = whole
@@ -179,18 +183,14 @@ def _pieces(
             source = 0.0
             if cell >= 0:
                 source = table.source[cell, direction_bin(direction)] + sun_density * mean * table.sunlight[cell]
-            found.append(((x, y, z), cell, last - first, source, droplets, air, air_depth))
+            found.append(((x, y, z), cell, last - first, source, droplets, droplets + air))
         depth += (droplets + air) * length
-        air_depth += air * length
         if not has_left:
             break
-    cells, lengths, sources, of_droplets, of_air, air_before = (
-        np.array([piece[n] for piece in found]) for n in range(1, 7)
-    )
-    outer = air_before[0] if found else air_depth
-    droplets_depth = np.concatenate([[0.0], np.cumsum(of_droplets * lengths)])
-    depths = outer + droplets_depth + np.concatenate([[0.0], np.cumsum(of_air * lengths)])
-    return _Pieces([piece[0] for piece in found], cells, lengths, sources, depths, droplets_depth, air_before, has_left)
+    cells, lengths, sources, of_droplets, of_all = (np.array([piece[n] for piece in found]) for n in range(1, 6))
+    depths = first_depth + np.concatenate([[0.0], np.cumsum(of_all * lengths)])
+    shares = np.divide(of_droplets, of_all, out=np.zeros(len(found)), where=of_all > 0)
+    return _Pieces([piece[0] for piece in found], cells, lengths, sources, depths, shares, has_left)
 
 
 def _unwrapped(grid: Grid, point: np.ndarray) -> np.ndarray:
