@@ -77,8 +77,9 @@ inline float cross_cell(uint cell, float from, float length, const SunlightWalk 
         const float source = ray_source(own, cell, mean_sunlight(sun, from + n * step, step));
         cross_part(step, share * source, extinction, own);
         const float next = depth + extinction * step;
-        const float behind = own->total - own->radiance + (own->reach > next ? own->from_others : 0.0f);
-        sum += step * (source * own->transmittance - behind) * all_flights(depth, next);
+        const float change = source * own->transmittance - (own->total - own->radiance);
+        const float from_others = own->reach > next ? own->from_others : 0.0f; /* only if the flight has got so far */
+        sum += step * (change * all_flights(depth, next) - from_others);
         depth = next;
     }
     own->last = cell;

@@ -133,10 +133,11 @@ def ray_derivative(
     ends = pieces.depths[1:]
     met = (pieces.depths[:-1] < optical_depth) & (optical_depth <= ends) & (u_particle < pieces.droplets)
     from_others = 0.0 if met.any() else path_radiance
-    behind = radiance - np.cumsum(pieces.sent) + from_others * (optical_depth > ends)
+    behind = radiance - np.cumsum(pieces.sent)
     ended = np.maximum(pieces.depths - EXPECTED_DEPTH, 0.0)
     for_all = np.exp((ended[:-1] + ended[1:]) / 2)  # flights that have got so far, for all
-    deposits = pieces.lengths * (pieces.sources * np.exp(-ends) - behind) * for_all
+    changes = (pieces.sources * np.exp(-ends) - behind) * for_all
+    deposits = pieces.lengths * (changes - from_others * (optical_depth > ends))  # these have got so far by themselves
     for voxel, cell, deposit in zip(pieces.voxels, pieces.cells, deposits, strict=True):
         if cell >= 0:
             derivative[voxel] += deposit

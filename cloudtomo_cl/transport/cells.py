@@ -8,7 +8,6 @@ import numpy as np
 
 # A cell is so deep at most, in optical depths divided by 1 - g, along every axis: light hardly changes within.
 _DEPTH = 0.25
-_LEAST_DEPTH = 0.5
 # Light changes fast below the cloud's surface, and across it. Inside, cells may be deeper along an axis, by so much for
 # an optical depth of 1 / (1 - g) along it.
 _COARSENING = 2.0
@@ -63,8 +62,7 @@ class Cells:
         beside : largest extinction of the neighbours, km^-1, shape (voxels,): see `largest_beside`
         """
         depth = np.asarray(extinction, float)[:, None] * np.asarray(spacing)
-        limit = max(_DEPTH / max(1 - asymmetry, 1e-6), _LEAST_DEPTH)
-        limit = min(limit, _DEPTH * _MOST_PARTS)
+        limit = min(_DEPTH / float(np.clip(1 - asymmetry, 1e-6, 1)), _DEPTH * _MOST_PARTS)
         coarser = np.broadcast_to(1 + _COARSENING * (1 - asymmetry) * np.asarray(within), depth.shape)
         depth_beside = np.broadcast_to(beside, len(depth))[:, None] * np.asarray(spacing)
         while True:
