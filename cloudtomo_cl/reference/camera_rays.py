@@ -21,8 +21,6 @@ from cloudtomo_cl.reference.flights import air_layers, outside_crossings, voxel_
 from cloudtomo_cl.reference.scattering import droplet_density, middle_row
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import Scene
-from cloudtomo_cl.transport.cells import Cells
-from cloudtomo_cl.transport.directions import AZIMUTHS, EDGES
 
 # Optical depths: up to which flights do not end; beyond their end, up to which light is followed.
 EXPECTED_DEPTH, DEPTH_BEHIND = 2.0, 2.0
@@ -41,17 +39,33 @@ class Table:
     Attributes
     ----------
     mask : voxels that it has, bool, shape of the grid
-    cells : how these are divided
+    parts : into which each of these is divided along x, y, z, shape (voxels, 3); cells are numbered voxel by voxel, z
+        fastest
     source, scattered : what droplets scatter of diffuse light, and that less the radiance, sr^-1 for a sun of
         irradiance 1, shape (cells, bins)
     sunlight : direct, times the albedo, in units of what the cell's voxel has in its lower corner, shape (cells,)
+    edges : of the rings that bins are in, degrees from the vertical, from 0 to 180
+    azimuths : bins of each ring
     """
 
     mask: np.ndarray
-    cells: Cells
+    parts: np.ndarray
     source: np.ndarray
     scattered: np.ndarray
     sunlight: np.ndarray
+    edges: tuple[float, ...]
+    azimuths: tuple[int, ...]
+
+    def first_cell(self, voxel: int) -> int:
+        """Of a voxel of the mask, by its number."""
+        return int(self.parts[:voxel].prod(axis=1).sum())
+
+    def bin_of(self, direction: np.ndarray) -> int:
+        """The bin of a direction: rings around the vertical, each of equal azimuths."""
+        zenith = np.degrees(np.arccos(np.clip(direction[2], -1, 1)))
+        ring = min(int(np.searchsorted(self.edges, zenith, side="right")) - 1, len(self.azimuths) - 1)
+        turn = np.arctan2(direction[1], direction[0]) / (2 * np.pi) % 1
+        return sum(self.azimuths[:ring]) + min(int(turn * self.azimuths[ring]), self.azimuths[ring] - 1)
 
 
 class RayDerivative(NamedTuple):
@@ -94,14 +108,6 @@ class _Pieces:
         """By each, as the camera sees it, sr^-1."""
         sent: np.ndarray = self.sources * self.droplets * -np.diff(np.exp(-self.depths))
         return sent
-
-
-def direction_bin(direction: np.ndarray) -> int:
-    """The bin of a direction: rings around the vertical, each of equal azimuths."""
-    zenith = np.degrees(np.arccos(np.clip(direction[2], -1, 1)))
-    ring = min(int(np.searchsorted(EDGES, zenith, side="right")) - 1, len(AZIMUTHS) - 1)
-    turn = np.arctan2(direction[1], direction[0]) / (2 * np.pi) % 1
-    return sum(AZIMUTHS[:ring]) + min(int(turn * AZIMUTHS[ring]), AZIMUTHS[ring] - 1)
 
 
 def ray_derivative(
@@ -148,7 +154,7 @@ def _behind(table: Table, pieces: _Pieces, direction: np.ndarray) -> float:
     """What droplets send from behind all pieces, as the camera sees it."""
     if pieces.has_left:
         return 0.0
-    place = pieces.cells[pieces.cells >= 0][-1], direction_bin(direction)
+    place = pieces.cells[pieces.cells >= 0][-1], table.bin_of(direction)
     return float(np.exp(-pieces.depths[-1]) * (table.source[place] - table.scattered[place]))
 
 
@@ -183,7 +189,7 @@ def _pieces(
         for cell, first, last, mean in _steps(scene, table, index, entry, direction, length, droplets):
             source = 0.0
             if cell >= 0:
-                source = table.source[cell, direction_bin(direction)] + sun_density * mean * table.sunlight[cell]
+                source = table.source[cell, table.bin_of(direction)] + sun_density * mean * table.sunlight[cell]
             found.append(((x, y, z), cell, last - first, source, droplets, droplets + air))
         depth += (droplets + air) * length
         if not has_left:
@@ -207,7 +213,7 @@ def _steps(
     if index < 0:
         return [(-1, 0.0, length, 1.0)]
     spacing, sun = np.array(scene.grid.spacing), scene.sun.direction
-    parts = table.cells.parts[index]
+    parts = table.parts[index]
     cuts = [0.0, length]
     for axis in range(3):
         if direction[axis] != 0:
@@ -220,7 +226,7 @@ def _steps(
     for first, last in zip(faces[:-1], faces[1:], strict=True):
         middle = (entry + (first + last) / 2 * direction) / spacing
         part = np.clip(np.floor(middle * parts), 0, parts - 1).astype(int)
-        cell = int(table.cells.first[index] + np.ravel_multi_index(tuple(part), tuple(parts)))
+        cell = table.first_cell(index) + int(np.ravel_multi_index(tuple(part), tuple(parts)))
         steps = 1 if rate == 0 else int(np.clip(np.ceil(droplets * (last - first) / STEP_DEPTH), 1, MOST_STEPS))
         ends = np.linspace(first, last, steps + 1)
         for begin, end in zip(ends[:-1], ends[1:], strict=True):

@@ -13,7 +13,7 @@ from cloudtomo_cl.reference.paths import BLOCKS_PER_EVENT, first_ray
 from cloudtomo_cl.reference.random import uniforms
 from cloudtomo_cl.transport.cells import Cells
 from cloudtomo_cl.transport.derivatives import RadianceTable
-from cloudtomo_cl.transport.directions import BINS
+from cloudtomo_cl.transport.directions import AZIMUTHS, BINS, EDGES
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
 SEED, STREAM, SAMPLES = 5, 9, 24
@@ -27,7 +27,7 @@ def on_host(table, shape):
     device.read(table.buffers["cells"], places)
     for array, host in (("source", source), ("scattered", scattered), ("sunlight", sunlight)):
         host[...] = table.buffers[array].get().reshape(host.shape)
-    return Table(shape, Cells(places[:, 1:].astype(np.int32)), source, scattered, sunlight)
+    return Table(shape, places[:, 1:].astype(int), source, scattered, sunlight, EDGES, AZIMUTHS)
 
 
 def of_kernel(operator, table, rendering, change):
@@ -84,7 +84,7 @@ def test_the_derivative_is_that_of_the_radiance(random):
     extinction = 0.1 * extinction_of(scene) + 0.1
     cells = Cells(random.integers(1, 4, (mask.sum(), 3)).astype(np.int32))
     source = random.random((len(cells), BINS))
-    table = Table(mask, cells, source, 0.3 * source, np.zeros(len(cells)))
+    table = Table(mask, cells.parts, source, 0.3 * source, np.zeros(len(cells)), EDGES, AZIMUTHS)
     position, direction = np.array([0.61, -0.07, 0.9]), np.array([0.2, 0.15, -1.0]) / np.sqrt(1.0625)
 
     def at(values):
