@@ -4,14 +4,15 @@
  * Its source function is not, for droplets scatter from many bins. So along rays from the cameras the radiance is what
  * the source function before it sends, with what the table has for the radiance where the ray is left:
  *
- *     R = sum over the cells of S_k (exp(-t_{k-1}) - exp(-t_k)) + exp(-t_n) radiance,
+ *     R = sum over the cells of c_k S_k (exp(-t_{k-1}) - exp(-t_k)) + exp(-t_n) radiance,
  *
- * with t the optical depth of droplets from the camera on to a cell's end. A little more of droplets in cell k, l km
- * long, changes that by l (S_k exp(-t_k) - R_{>k}), R_{>k} being what comes from behind the cell.
+ * with t the optical depth of droplets and air from the camera on to a cell's end, and c the droplets' share of it. A
+ * little more of droplets in cell k, l km long, changes that by l (S_k exp(-t_k) - R_{>k}), R_{>k} being what comes from
+ * behind the cell. Of what air and ground send the table has no source. It is in the sample's own path: where its first
+ * flight ends in them, its radiance comes from there, and counts for the cells before.
  *
  * A first traversal sums up R, a second one deposits. Up to EXPECTED_DEPTH all counts in full; from there on flights
- * end as those of paths do, and what they bring counts for those that have ended. Air takes from what arrives, but is
- * no source here: what it scatters into a ray and out of it is nearly the same.
+ * end as those of paths do, and what they bring counts for those that have ended.
  *
  * The including file defines what derivatives.h says. */
 #ifndef CLOUDTOMO_CAMERA_RAYS_H
@@ -28,11 +29,15 @@ typedef struct {
     const RadianceTable *table;
     float sun_density; /* of scattering by droplets from the sun into the ray, sr^-1 */
     int bin;
-    float transmittance; /* of droplets, so far */
+    float transmittance; /* so far */
     float radiance;      /* of the cells so far */
-    float total;         /* R */
+    float total;         /* R, without what comes from air and ground */
+    float u_particle;    /* uniform number, by which the path's first particle is chosen */
+    float reach;         /* optical depth, where its first flight ends */
+    float from_others;   /* what comes from there, if no droplet is met */
     uint last;           /* cell */
     bool any;            /* whether there has been one */
+    bool meets_droplet;  /* the path, first */
 } CameraRay;
 
 inline float ray_source(const CameraRay *own, uint cell, float sunlight)
@@ -47,9 +52,9 @@ inline float ray_source(const CameraRay *own, uint cell, float sunlight)
 inline float steps_of(float depth) { return within(ceil(depth / STEP_DEPTH), 1.0f, MOST_STEPS); }
 
 /* Across `length` km of a cell. */
-inline void cross_part(float length, float source, float droplets, CameraRay *own)
+inline void cross_part(float length, float source, float extinction, CameraRay *own)
 {
-    const float left = own->transmittance * exponential(-droplets * length);
+    const float left = own->transmittance * exponential(-extinction * length);
     own->radiance += source * (own->transmittance - left);
     own->transmittance = left;
 }
@@ -66,12 +71,15 @@ inline float cross_cell(uint cell, float from, float length, const SunlightWalk 
                         float depth, CameraRay *own)
 {
     const float steps = sun->rate == 0.0f ? 1.0f : steps_of(droplets * length), step = length / steps;
+    const float share = extinction > 0.0f ? droplets / extinction : 0.0f;
     float sum = 0.0f;
     for (float n = 0.0f; n < steps; n += 1.0f) {
         const float source = ray_source(own, cell, mean_sunlight(sun, from + n * step, step));
-        cross_part(step, source, droplets, own);
+        cross_part(step, share * source, extinction, own);
         const float next = depth + extinction * step;
-        sum += step * (source * own->transmittance - (own->total - own->radiance)) * all_flights(depth, next);
+        const float change = source * own->transmittance - (own->total - own->radiance);
+        const float from_others = own->reach > next ? own->from_others : 0.0f; /* only if the flight has got so far */
+        sum += step * (change * all_flights(depth, next) - from_others);
         depth = next;
     }
     own->last = cell;
@@ -83,9 +91,12 @@ inline float cross_cell(uint cell, float from, float length, const SunlightWalk 
 inline float cross_voxel(const __constant Scene *scene, const Ray *ray, const VoxelWalk *walk, float length,
                          float droplets, float extinction, float depth, CameraRay *own)
 {
+    if (own->reach > depth && own->reach <= depth + extinction * length)
+        own->meets_droplet = own->u_particle * extinction < droplets;
     const int column = own->table->column[walk->index];
     if (column < 0)
         return 0.0f;
+    own->transmittance = exponential(-depth);
     const uint4 cells = own->table->cells[column];
     const SunlightWalk sun = walk_sunlight(scene, ray, walk->distance, length, droplets);
     if (is_whole(cells))
@@ -113,9 +124,8 @@ inline void deposit_along_ray(const __constant Scene *scene, const Ray *ray, con
     const int column = own->table->column[walk->index];
     if (column < 0)
         return;
-    const float air = exponential(-depth) / own->transmittance;
     const float sum = cross_voxel(scene, ray, walk, length, droplets, extinction, depth, own);
-    tally_derivative(walk->index, column, air * sum, tally);
+    tally_derivative(walk->index, column, sum, tally);
 }
 
 #define TRAVERSAL fly_and_deposit_along
@@ -125,15 +135,11 @@ inline void deposit_along_ray(const __constant Scene *scene, const Ray *ray, con
 #define SKIPS()
 #include "walk/traversal.h"
 
-/* What comes from behind all cells of a ray, as the camera sees it: from the ground what the sample's own path has
- * brought, if its first flight has left the cloud, and else what the table has. */
-inline float radiance_behind(const Medium *medium, const Ray *ray, const Flight *flight, float reach,
-                             float path_radiance, const CameraRay *own)
+/* What droplets send from behind all cells, as the camera sees it. */
+inline float radiance_behind(const Flight *flight, const CameraRay *own)
 {
-#ifndef CLOUDTOMO_ATMOSPHERE
     if (!flight->collided && !flight->lost)
-        return meets_surface(medium->scene, ray) && reach > flight->depth ? path_radiance : 0.0f;
-#endif
+        return 0.0f;
     const size_t place = (size_t)own->last * DIRECTION_BINS + own->bin;
     return own->transmittance * (own->table->source[place] - own->table->scattered[place]);
 }
@@ -149,19 +155,23 @@ inline void deposit_camera_ray(const Medium *medium, const RadianceTable *table,
     own.transmittance = 1.0f;
     own.radiance = 0.0f;
     own.total = 0.0f;
+    own.from_others = 0.0f;
     own.last = 0u;
     own.any = false;
-    const float reach =
-        -logarithm(event_uniforms(key, 1u, BLOCK_EVENT).x); /* of the sample's path, as in walk/path.h */
+    own.meets_droplet = false;
+    const float2 u = event_uniforms(key, 1u, BLOCK_EVENT).xy; /* of the sample's path, as in walk/path.h */
+    own.reach = -logarithm(u.x);
+    own.u_particle = u.y;
     Ray ray = *from;
-    const Flight flight = fly_and_gather(medium, &ray, EXPECTED_DEPTH + reach + DEPTH_BEHIND, &own);
+    const Flight flight = fly_and_gather(medium, &ray, EXPECTED_DEPTH + own.reach + DEPTH_BEHIND, &own);
     if (!own.any)
         return;
-    own.total = own.radiance + radiance_behind(medium, &ray, &flight, reach, path_radiance, &own);
+    own.total = own.radiance + radiance_behind(&flight, &own);
+    own.from_others = own.meets_droplet ? 0.0f : path_radiance;
     own.transmittance = 1.0f;
     own.radiance = 0.0f;
     ray = *from;
-    fly_and_deposit_along(medium, &ray, EXPECTED_DEPTH + reach, &own, tally);
+    fly_and_deposit_along(medium, &ray, EXPECTED_DEPTH + own.reach, &own, tally);
 }
 
 #endif

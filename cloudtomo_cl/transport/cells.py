@@ -8,13 +8,16 @@ import numpy as np
 
 # A cell is so deep at most, in optical depths divided by 1 - g, along every axis: light hardly changes within.
 _DEPTH = 0.25
-_LEAST_DEPTH = 0.5
-# Light changes fast below the cloud's surface. Inside, cells may be deeper, by so much for an optical depth of
-# 1 / (1 - g).
+# Light changes fast below the cloud's surface, and across it. Inside, cells may be deeper along an axis, by so much for
+# an optical depth of 1 / (1 - g) along it.
 _COARSENING = 2.0
+# Beside a voxel so deep that it is divided light changes in thin ones, too: those with so much of its depth are halved.
+_THIN = 0.02
 # Parts along an axis at most, and cells in all: for so many voxels, and in any case.
 _MOST_PARTS = 8
-_MOST_PER_VOXEL, _ALWAYS = 3, 10_000
+_MOST_PER_VOXEL, _ALWAYS = 3, 16_000
+# By what cells grow until they are no more than that.
+_GROWTH = 1.1
 
 
 def most_cells(voxels: int) -> int:
@@ -45,6 +48,7 @@ class Cells:
         spacing: tuple[float, float, float],
         asymmetry: float,
         within: np.ndarray | float = 0.0,
+        beside: np.ndarray | float = 0.0,
     ) -> Cells:
         """Cells in which light does not change much, as far as there may be so many.
 
@@ -53,17 +57,21 @@ class Cells:
         extinction : km^-1, shape (voxels,)
         spacing : of the voxels, km
         asymmetry : of the droplets' phase function
-        within : optical depth of the cloud between a voxel and the outside, shape (voxels,): see `depth_within`
+        within : optical depth of the cloud between a voxel and the outside along x, y, z, shape (voxels, 3): see
+            `depth_within`
+        beside : largest extinction of the neighbours, km^-1, shape (voxels,): see `largest_beside`
         """
         depth = np.asarray(extinction, float)[:, None] * np.asarray(spacing)
-        limit = max(_DEPTH / max(1 - asymmetry, 1e-6), _LEAST_DEPTH)
-        limit = min(limit, _DEPTH * _MOST_PARTS)
-        coarser = np.broadcast_to(1 + _COARSENING * (1 - asymmetry) * np.asarray(within), len(depth))[:, None]
+        limit = min(_DEPTH / float(np.clip(1 - asymmetry, 1e-6, 1)), _DEPTH * _MOST_PARTS)
+        coarser = np.broadcast_to(1 + _COARSENING * (1 - asymmetry) * np.asarray(within), depth.shape)
+        depth_beside = np.broadcast_to(beside, len(depth))[:, None] * np.asarray(spacing)
         while True:
             parts = np.clip(np.ceil(depth / (limit * coarser)), 1, _MOST_PARTS)
+            is_halved = (depth_beside > limit) & (depth > _THIN * depth_beside)
+            parts = np.where(is_halved, np.maximum(parts, 2), parts)
             if parts.prod(axis=1).sum() <= most_cells(len(depth)):
                 return cls(parts.astype(np.int32))
-            limit *= 1.25
+            limit *= _GROWTH
 
     @property
     def counts(self) -> np.ndarray:
@@ -90,17 +98,39 @@ class Cells:
 
 
 def depth_within(extinction: np.ndarray, spacing: tuple[float, float, float], periodic: bool) -> np.ndarray:
-    """Optical depth of the cloud between every voxel and the outside, the least along the axes.
+    """Optical depth of the cloud between every voxel and the outside, along each axis.
+
+    Parameters
+    ----------
+    extinction : km^-1, shape of the grid
+    periodic : whether there is no outside along x and y: then the depth there is that along z
+
+    Returns
+    -------
+    shape of the grid, and 3 for x, y, z
+    """
+    depths = []
+    for axis in (2,) if periodic else (0, 1, 2):
+        depth = np.asarray(extinction, float) * spacing[axis]
+        until = np.cumsum(depth, axis=axis)
+        total = np.take(until, [-1], axis=axis)
+        depths.append(np.maximum(np.minimum(until - depth, total - until), 0.0))
+    return np.stack(depths * 3 if periodic else depths, axis=-1)
+
+
+def largest_beside(extinction: np.ndarray, periodic: bool) -> np.ndarray:
+    """The largest extinction of the voxels that share a face with each.
 
     Parameters
     ----------
     extinction : km^-1, shape of the grid
     periodic : whether there is no outside along x and y
     """
-    least = np.full(extinction.shape, np.inf)
-    for axis in (2,) if periodic else (0, 1, 2):
-        depth = np.asarray(extinction, float) * spacing[axis]
-        until = np.cumsum(depth, axis=axis)
-        total = np.take(until, [-1], axis=axis)
-        least = np.minimum(least, np.minimum(until - depth, total - until))
-    return np.maximum(least, 0.0)
+    largest = np.zeros_like(extinction)
+    for axis in range(3):
+        for step in (-1, 1):
+            beside = np.roll(extinction, step, axis)
+            if not (periodic and axis < 2):
+                np.moveaxis(beside, axis, 0)[0 if step > 0 else -1] = 0
+            largest = np.maximum(largest, beside)
+    return largest

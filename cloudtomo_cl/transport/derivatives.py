@@ -10,7 +10,9 @@ from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.fixed_point import summed
 from cloudtomo_cl.opencl.memory import Footprint
-from cloudtomo_cl.transport.cells import Cells, depth_within, most_cells
+from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
+from cloudtomo_cl.scene.scene import Cloud
+from cloudtomo_cl.transport.cells import Cells, depth_within, largest_beside, most_cells
 from cloudtomo_cl.transport.directions import BINS, FEATURES, scattering_matrix, solid_angles
 from cloudtomo_cl.transport.photons import Photons
 from cloudtomo_cl.transport.radiance import FIXED_POINT_SCALE, RadianceOperator, Rendering, largest_adjoint
@@ -87,9 +89,7 @@ class RadianceTable:
         self._photons = Photons(operator, features)
         self.features = features
         cloud = operator.scene.cloud
-        # Of a phase table the middle row stands for all: it is what flights to the sun are drawn from.
-        albedos = getattr(cloud.phase_function, "single_scattering_albedo", None) or (cloud.single_scattering_albedo,)
-        self._albedo = albedos[len(albedos) // 2]
+        self._albedo = _albedo(cloud)
         droplets = self._albedo * scattering_matrix(cloud.phase_function)
         self._scattering = device.constant((droplets / solid_angles()).T.astype(np.float32))
         self._solid_angle = device.constant(solid_angles().astype(np.float32))
@@ -122,8 +122,11 @@ class RadianceTable:
         operator, device, scene = self._operator, self._operator.device, self._operator.scene
         medium = rendering._medium
         extinction, spacing = medium.extinction.get(), scene.grid.spacing
-        within = depth_within(extinction, spacing, scene.boundary.horizontal == "periodic")[self._mask]
-        divided = Cells.of(extinction[self._mask], spacing, scene.cloud.phase_function.g, within)
+        is_periodic = scene.boundary.horizontal == "periodic"
+        around = (depth_within(extinction, spacing, is_periodic), largest_beside(extinction, is_periodic))
+        divided = Cells.of(
+            extinction[self._mask], spacing, scene.cloud.phase_function.g, *(field[self._mask] for field in around)
+        )
         self.cells = len(divided)
         self._places = device.constant(divided.places)
         self.release()
@@ -217,6 +220,18 @@ class RadianceTable:
         with operator.device.lock:  # pyopencl's own kernels, too, are shared by threads
             gradient = total.astype(np.float32) * np.float32(unit)
         return gradient, tangent * irradiance / rendering.samples
+
+
+def _albedo(cloud: Cloud) -> float:
+    """Of the droplets; of a phase table where their radius differs by voxel that of its middle row, as everything else
+    of it: it is what flights to the sun are drawn from."""
+    phase = cloud.phase_function
+    if not isinstance(phase, TabulatedPhaseFunction) or phase.single_scattering_albedo is None:
+        return cloud.single_scattering_albedo
+    albedos = phase.single_scattering_albedo
+    if len(albedos) > 1 and cloud.effective_radius is not None:
+        return float(np.interp(cloud.effective_radius, phase.effective_radius, albedos))
+    return float(albedos[len(albedos) // 2])
 
 
 def _added_in_order(sums: np.ndarray, paths: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cloudtomo_cl.transport.cells import Cells, most_cells
+from cloudtomo_cl.transport.cells import Cells, depth_within, largest_beside, most_cells
 
 SPACING = (0.02, 0.02, 0.04)
 EXTINCTION = np.array([0.0, 3.0, 60.0, 150.0, 400.0])
@@ -32,3 +32,48 @@ def test_there_are_no_more_cells_than_allowed():
 def test_cells_are_numbered_voxel_by_voxel(cells):
     assert (cells.places[:, 0] == np.flatnonzero(np.diff(cells.voxel, prepend=-1))).all()
     assert cells.counts.sum() == len(cells) == len(cells.voxel)
+
+
+def test_cells_are_longer_along_the_axis_along_which_the_cloud_is_deeper():
+    """A voxel at the top of a wide cloud: fine along the vertical alone."""
+    within = np.array([[20.0, 20.0, 0.0]])
+    extinction, spacing = np.array([300.0]), (0.02, 0.02, 0.02)
+    deep, shallow = (Cells.of(extinction, spacing, 0.85, given).parts[0] for given in (within, 0 * within))
+    assert deep[2] == shallow[2] and (deep[:2] < shallow[:2]).all()
+
+
+def test_thin_voxels_beside_divided_ones_are_halved():
+    """Not those with next to no droplets, nor beside thin ones."""
+    extinction, beside = np.array([10.0, 0.01, 10.0]), np.array([400.0, 400.0, 10.0])
+    parts = Cells.of(extinction, SPACING, 0.85, 0.0, beside).parts
+    np.testing.assert_array_equal(parts, [[2, 2, 2], [1, 1, 1], [1, 1, 1]])
+
+
+@pytest.fixture
+def slab():
+    """km^-1, shape (4, 5, 3): layers of 10, 20 and 30; and a column of none."""
+    values = np.broadcast_to(np.array([10.0, 20.0, 30.0]), (4, 5, 3)).copy()
+    values[0, 0] = 0
+    return values
+
+
+def test_depths_within_are_those_to_the_nearer_end_of_each_axis(slab):
+    depth = depth_within(slab, (0.1, 0.2, 0.3), periodic=False)
+    np.testing.assert_allclose(depth[1, 2, 1], [0.1 * 20, 0.2 * 2 * 20, 0.3 * 10])
+    np.testing.assert_allclose(depth[1, 0, 2], [0.0, 0.0, 0.0])
+    np.testing.assert_allclose(depth[3, 4, 1], [0.0, 0.0, 0.3 * 10])
+
+
+def test_a_periodic_cloud_has_no_outside_beside(slab):
+    depth = depth_within(slab, (0.1, 0.2, 0.3), periodic=True)
+    np.testing.assert_allclose(depth[1, 2, 1], [0.3 * 10] * 3)
+
+
+def test_the_largest_beside_is_that_of_six_neighbours(slab):
+    slab[1, 2, 0] = 50
+    beside = largest_beside(slab, periodic=False)
+    assert beside[1, 3, 0] == beside[2, 2, 0] == beside[1, 2, 1] == 50
+    assert beside[2, 3, 0] == 20 and beside[0, 0, 0] == 10
+    slab[3, 1, 0] = 60
+    assert largest_beside(slab, periodic=False)[0, 1, 0] == 20
+    assert largest_beside(slab, periodic=True)[0, 1, 0] == 60
