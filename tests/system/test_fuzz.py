@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cloudtomo_cl.commands import fluxes, modelled, reconstruction, rendering
+from cloudtomo_cl.commands import fluxes, modelled, reconstruction, rendering, reporting
 from cloudtomo_cl.report import plots
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "fuzz.py"
@@ -20,6 +20,7 @@ def bench(tmp_path, monkeypatch):
     places = [(module, "choose_device") for module in (fluxes, reconstruction, rendering)]
     for module, name in [*places, (reconstruction, "make_report"), (modelled, "PATHS"), (plots, "save_figures")]:
         monkeypatch.setattr(module, name, getattr(module, name))
+    monkeypatch.setattr(reporting, "plots", plots)  # where the bench puts its own
     return fuzz.Bench(tmp_path)
 
 
