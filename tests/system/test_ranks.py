@@ -68,7 +68,7 @@ def alone(device):
 
 @pytest.fixture(
     scope="module",
-    params=["2 threads", "3 threads", pytest.param("2 ranks", marks=with_mpi), pytest.param("3 ranks", marks=with_mpi)],
+    params=["2 threads", pytest.param("3 ranks", marks=with_mpi)],
 )
 def shared(request):
     size, kind = int(request.param[0]), request.param[2:]
@@ -96,7 +96,7 @@ def stopped(checkpoint):
     return work
 
 
-@pytest.mark.parametrize("before, after", [(1, 3), (3, 2), (2, 1)])
+@pytest.mark.parametrize("before, after", [(1, 3), (3, 2)])
 def test_a_resume_may_have_another_number_of_ranks(alone, tmp_path, before, after):
     file = tmp_path / "checkpoint.npz"
     assert len(on_devices([0] * before, stopped(file)).history) == 2
@@ -199,8 +199,8 @@ def run(files):
     given = command(files, "render", "scene", "--samples", 16, "--output", files / "images.nc", "--quiet")
     assert cli.main(given) == 0
     (files / "run.toml").write_text(
-        '[measurements]\nfile = "images.nc"\n[run]\nuncertainty = 0\ncheckpoint_interval = 0.01\n[[stage]]\n'
-        f"grid = {list(GRID.shape)}\nsamples = 32\niterations = 15\n"
+        '[measurements]\nfile = "images.nc"\n[run]\nuncertainty = 0\ncheckpoint_interval = 0.01\n[solver]\n'
+        f"inner_iterations = 8\n[[stage]]\ngrid = {list(GRID.shape)}\nsamples = 32\niterations = 10\n"
     )
     words = ["reconstruct", str(files / "run.toml"), "--seed", "2", "--no-report", "--quiet", "--output"]
     assert cli.main([*words, str(files / "whole")]) == 0
