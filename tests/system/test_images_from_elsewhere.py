@@ -14,8 +14,9 @@ def test_the_example_recovers_the_cloud_from_poses_and_reflectances(tmp_path, mo
     (example,) = re.findall(r"<!-- tested .*?```python\n(.*?)```", PAGE.read_text(), flags=re.DOTALL)
     # The limit is for readers; so few iterations show that the images were understood.
     assert "time_limit=30" in example
+    example = example.replace("time_limit=30", "solver=ct.GaussNewton(iterations=3, inner_iterations=15)")
     names = {}
-    exec(compile(example.replace("time_limit=30", "solver=ct.GaussNewton(iterations=3, inner_iterations=15)"), str(PAGE), "exec"), names)
+    exec(compile(example, str(PAGE), "exec"), names)
     recovered, truth = names["result"].extinction, names["truth"]
     assert ct.epsilon(recovered, truth) < 1
     assert abs(ct.delta(recovered, truth)) < 0.5

@@ -19,9 +19,9 @@ measured = ct.Measurements.rendered(operator, operator.render(truth, 8, seed=1))
 stages = (ct.Stage(grid=grid.shape, samples=4, iterations=2),)
 stop = iter([True]) if sys.argv[1] == "begin" else iter(())
 result = ct.reconstruct(
-    scene, measured, stages, solver=ct.GaussNewton(image_samples=1, inner_iterations=5), mask=np.ones(grid.shape, bool), seed=2,
+    scene, measured, stages, solver=ct.GaussNewton(image_samples=1, inner_iterations=5),
+    mask=np.ones(grid.shape, bool), seed=2, uncertainty=1,
     checkpoint=sys.argv[2], resume=sys.argv[2] if sys.argv[1] == "resume" else None, stop=lambda: next(stop, False),
-    uncertainty=1,
 )
 print(hashlib.sha256(result.extinction.data).hexdigest(), len(result.history))
 """
