@@ -19,8 +19,8 @@ from cloudtomo_cl.opencl.several import on_devices
 
 NAMES = (
     "rendering", "replay gradient", "adaptive rendering", "fewer pixels than ranks", "fluxes", "table gradient 0",
-    "table gradient 1", "table", "products", "transposed products", "curvature", "Gauss-Newton", "Adam",
-    "Adam by replay",
+    "table gradient 1", "table", "products", "transposed products", "curvature", "Gauss-Newton",
+    "Gauss-Newton with patches", "Adam", "Adam by replay",
 )  # fmt: skip
 # Beginning of what ranks run; the rest has `device`.
 BEGIN = f"""
@@ -199,8 +199,9 @@ def run(files):
     given = command(files, "render", "scene", "--samples", 16, "--output", files / "images.nc", "--quiet")
     assert cli.main(given) == 0
     (files / "run.toml").write_text(
-        '[measurements]\nfile = "images.nc"\n[run]\nuncertainty = 0\ncheckpoint_interval = 0.01\n[solver]\n'
-        f"inner_iterations = 8\n[[stage]]\ngrid = {list(GRID.shape)}\nsamples = 32\niterations = 10\n"
+        '[measurements]\nfile = "images.nc"\n[run]\nuncertainty = 0\ncheckpoint_interval = 0.01\n'
+        '[solver]\ninner_iterations = 8\n[prior]\ntype = "smoothness"\n[[stage]]\n'
+        f"grid = {list(GRID.shape)}\nsamples = 32\niterations = 15\nwindow = 100\n"
     )
     words = ["reconstruct", str(files / "run.toml"), "--seed", "2", "--no-report", "--quiet", "--output"]
     assert cli.main([*words, str(files / "whole")]) == 0
