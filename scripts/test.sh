@@ -6,4 +6,6 @@ cd "$(dirname "$0")/.."
 ruff check .
 bash scripts/format.sh --check
 mypy
+# All tests by two processes, a file by one of them: kernels are compiled, and much of the host's work done, by one thread.
+[ $# -gt 0 ] || set -- -n 2 --dist loadfile
 exec python -m pytest "$@"

@@ -8,6 +8,7 @@ import numpy as np
 import pyopencl.array
 import pytest
 from scenes import TABLE
+from scipy import stats
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.scene.grid import Grid
@@ -42,20 +43,20 @@ def extinction():
 
 
 def gradients(operator, values, samples, iterations, adjoint):
-    """Mean of the gradients by the field, after some that fill its table."""
+    """Mean of the gradients by the field."""
     field = RadianceTable(operator)
     nothing = pyopencl.array.zeros(operator.device.queue, GRID.shape, np.float32)
     found = []
     for iteration in range(iterations):
         rendering = operator.render(values, samples, 3, iteration + 1, store_paths=True)
         found.append(field.gradient(rendering, adjoint, nothing)[0].get())
-    return np.mean(found[iterations // 2 :], axis=0)
+    return np.mean(found, axis=0)
 
 
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
 def test_gradients_are_close_to_the_score_functions(device, scene):
-    """Both by 10^6 paths; over voxels with cloud: direction within 15 degrees (20 over ground, where the
-    table has more noise), length within 25 %."""
+    """The score function's by 10^6 paths, the other's by half as many; over voxels with cloud: direction within 15
+    degrees (20 over ground, where the table has more noise), length within 25 %."""
     values, mask = extinction(), np.ones(GRID.shape, bool)
     operator = RadianceOperator(scene, VIEWS, device, mask=mask)
     adjoint = np.full((72, 2), 0.5)
@@ -63,7 +64,7 @@ def test_gradients_are_close_to_the_score_functions(device, scene):
     for iteration in range(4):
         rendering = operator.render(values, 4000, 8, iteration + 1, store_paths=True)
         expected += operator.gradient(rendering, adjoint).get() / 4
-    found = gradients(operator, values, 1000, 12, adjoint)
+    found = gradients(operator, values, 1000, 6, adjoint)
     cloud = values > 1
     a, b = found[cloud], expected[cloud]
     assert a @ b / np.sqrt((a @ a) * (b @ b)) > np.cos(np.radians(20 if scene.surface.albedo else 15))
@@ -75,7 +76,7 @@ def test_clear_voxels_get_the_gradient_of_finite_differences(device):
     scene, values, mask = SCENES["overhead sun"], extinction(), np.ones(GRID.shape, bool)
     operator = RadianceOperator(scene, VIEWS, device, mask=mask)
     clear = values == 0
-    found = gradients(operator, values, 1000, 12, np.full((72, 2), 0.5))[clear].sum()
+    found = gradients(operator, values, 1000, 6, np.full((72, 2), 0.5))[clear].sum()
     step = 0.5
     more, less = (
         operator.render(v, 100_000, 5).mean.sum() for v in (np.where(clear, step, values).astype(np.float32), values)
@@ -90,11 +91,11 @@ def test_the_tangent_is_what_images_change_by(device):
     field, change = RadianceTable(operator), 0.02 * values
     on_device = pyopencl.array.to_device(device.queue, change)
     tangents = []
-    for iteration in range(8):
+    for iteration in range(4):
         rendering = operator.render(values, 2000, 3, iteration + 1, store_paths=True)
         tangents.append(field.gradient(rendering, np.zeros((72, 2)), on_device)[1].sum())
     more, less = (operator.render(v, 200_000, 5).mean.sum() for v in (values + change, values - change))
-    assert np.mean(tangents[4:]) == pytest.approx((more - less) / 2, rel=0.15)
+    assert np.mean(tangents) == pytest.approx((more - less) / 2, rel=0.15)
 
 
 def test_a_table_is_a_function_of_the_rendering(device):
@@ -144,25 +145,30 @@ def test_rays_have_no_neighbours():
     np.testing.assert_array_equal(neighbours([rays], np.array([(0, 0), (0, 1), (0, 2)])).toarray(), np.eye(3))
 
 
-@pytest.mark.parametrize("cell", ["divided", "whole"])
-def test_light_that_changes_inside_of_deep_voxels_is_followed(device, monkeypatch, cell):
+def test_light_that_changes_inside_of_deep_voxels_is_followed(device, monkeypatch):
     """Along a cloud whose voxels are up to 40 deep: the score function's derivative within 10 % and 3 standard errors,
     where whole voxels miss a third and more."""
-    if cell == "whole":
-        monkeypatch.setattr("cloudtomo_cl.transport.cells._MOST_PARTS", 1)
     scene, values = SCENES["overhead sun"], (26 * extinction()).astype(np.float32)
     operator = RadianceOperator(scene, VIEWS, device, mask=values > 0)
     adjoint, nothing = np.full((72, 2), 0.5), pyopencl.array.zeros(device.queue, GRID.shape, np.float32)
-    field, found, expected = RadianceTable(operator), [], []
-    for stream in range(12):
+    tables, along = {"divided": RadianceTable(operator), "whole": RadianceTable(operator)}, {"score": []}
+    for stream in range(8):
         rendering = operator.render(values, 800, 3, stream, store_paths=True)
-        expected.append(np.sum(values * operator.gradient(rendering, adjoint).get()))
-        field.prepare(rendering)
-        if stream >= 4:
-            found.append(np.sum(values * field._walk(rendering, adjoint, nothing)[0].get()))
-    error = np.hypot(*(np.std(along, ddof=1) / np.sqrt(len(along)) for along in (found, expected)))
-    ratio, error = np.mean(found) / np.mean(expected), error / np.mean(expected)
-    assert (abs(ratio - 1) < 0.1 + 3 * error) == (cell == "divided"), (ratio, error)
+        along["score"].append(np.sum(values * operator.gradient(rendering, adjoint).get()))
+        for cell, table in tables.items():
+            if cell == "whole" and stream >= 4:
+                continue  # it misses by many of these standard errors
+            with monkeypatch.context() as patch:
+                if cell == "whole":
+                    patch.setattr("cloudtomo_cl.transport.cells._MOST_PARTS", 1)
+                table.prepare(rendering)
+            found = np.sum(values * table._walk(rendering, adjoint, nothing)[0].get())
+            along.setdefault(cell, []).append(found)
+    mean, error = ({cell: of(found) for cell, found in along.items()} for of in (np.mean, stats.sem))
+    for cell in tables:
+        ratio, spread = mean[cell] / mean["score"], np.hypot(error[cell], error["score"]) / mean["score"]
+        print(f"{cell}: {ratio:.3f} of the score function's, standard error {spread:.3f}")
+        assert (abs(ratio - 1) < 0.1 + 3 * spread) == (cell == "divided"), cell
 
 
 LIT = SCENES | {

@@ -73,13 +73,14 @@ def derivatives(device):
     yield "curvature", digest(jacobian.curvature(y[:, 0] ** 2))
 
 
-def recovery(device, solver=None, **options):
-    """A recovery from rendered images, as `reconstruct` gives it."""
+def recovery(device, solver=None, stages=STAGES, **options):
+    """A recovery from rendered images, as `reconstruct` gives it; with smoothness, whose steps take few products."""
     operator = ct.RadianceOperator(SCENE, RING, device)
     measured = ct.Measurements.rendered(operator, operator.render(extinction(), 16, seed=3))
     solver = solver or ct.GaussNewton(image_samples=1, inner_iterations=5)
+    options = {"prior": ct.Prior(), **options}
     return ct.reconstruct(
-        SCENE, measured, STAGES, solver=solver, device=device, seed=2, uncertainty=2, truth=extinction(), **options
+        SCENE, measured, stages, solver=solver, device=device, seed=2, uncertainty=2, truth=extinction(), **options
     )
 
 
@@ -93,6 +94,8 @@ def of_recovery(result):
 def recoveries(device):
     """Digests of recoveries by all kinds of solvers."""
     yield "Gauss-Newton", of_recovery(recovery(device))
+    once = (replace(STAGES[1], iterations=1),)
+    yield "Gauss-Newton with patches", of_recovery(recovery(device, stages=once, prior=ct.PatchPrior()))
     yield "Adam", of_recovery(recovery(device, ct.Adam()))
     yield "Adam by replay", of_recovery(recovery(device, ct.Adam(gradient="replay")))
 

@@ -36,6 +36,10 @@ pixels = [4, 6]
 RUN = """
 [measurements]
 file = "images.nc"
+[run]
+uncertainty = 2
+[solver]
+inner_iterations = 5
 [[stage]]
 grid = [5, 5, 5]
 samples = 8

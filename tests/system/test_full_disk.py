@@ -33,6 +33,10 @@ pixels = [8, 8]
 RUN = """
 [measurements]
 file = "images.nc"
+[run]
+uncertainty = 2
+[solver]
+inner_iterations = 5
 [[stage]]
 grid = [6, 6, 6]
 samples = 64

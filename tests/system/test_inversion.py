@@ -185,7 +185,7 @@ def test_standard_errors_are_no_less_than_scatter_and_about_the_error(problem, d
     for seed in range(5):
         images = ct.Measurements.rendered(operator, operator.render(truth, 512, seed=20 + seed))
         stages = (ct.Stage(grid=(8, 8, 8), iterations=5),)
-        result = recover((scene, images, truth), device, stages=stages, seed=seed, uncertainty=20)
+        result = recover((scene, images, truth), device, stages=stages, seed=seed, uncertainty=10)
         found.append(result.extinction)
         stated.append(result.standard_error)
     scatter = np.sqrt(np.mean(np.var(found, axis=0, ddof=1)[truth > 0]))

@@ -32,6 +32,8 @@ file = "rays.nc"
 RUN = """
 [measurements]
 file = "images.nc"
+[run]
+uncertainty = 2
 [[stage]]
 grid = [6, 6, 6]
 samples = 8

@@ -31,8 +31,11 @@ pixels = [8, 8]
 RUN = """
 [measurements]
 file = "images.nc"
+[run]
+uncertainty = 2
 [solver]
 damping = 0.2
+inner_iterations = 5
 [[stage]]
 grid = [6, 6, 6]
 samples = 8

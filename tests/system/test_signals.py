@@ -37,6 +37,9 @@ RUN = """
 file = "images.nc"
 [run]
 checkpoint_interval = 0.0
+uncertainty = 2
+[solver]
+inner_iterations = 5
 [[stage]]
 grid = [3, 3, 3]
 samples = 8

@@ -16,12 +16,12 @@ scene = ct.Scene(grid=grid, sun=ct.Sun(zenith=30.0))
 views = ct.RingOfViews(target=grid.centre, height=2.2, radius=1.2, count=4, field_of_view=30.0, pixels=(36, 36)).views()
 operator = ct.RadianceOperator(scene, views)
 measured = ct.Measurements.rendered(operator, operator.render(truth, 8, seed=1))
-stages = (ct.Stage(grid=grid.shape, samples=4, iterations=3),)
-stop = iter([False, True]) if sys.argv[1] == "begin" else iter(())
+stages = (ct.Stage(grid=grid.shape, samples=4, iterations=2),)
+stop = iter([True]) if sys.argv[1] == "begin" else iter(())
 result = ct.reconstruct(
-    scene, measured, stages, solver=ct.GaussNewton(image_samples=1), mask=np.ones(grid.shape, bool), seed=2,
+    scene, measured, stages, solver=ct.GaussNewton(image_samples=1, inner_iterations=5),
+    mask=np.ones(grid.shape, bool), seed=2, uncertainty=1,
     checkpoint=sys.argv[2], resume=sys.argv[2] if sys.argv[1] == "resume" else None, stop=lambda: next(stop, False),
-    uncertainty=2,
 )
 print(hashlib.sha256(result.extinction.data).hexdigest(), len(result.history))
 """
@@ -48,5 +48,5 @@ def test_more_threads_change_no_bit(whole, tmp_path):
 
 
 def test_a_resume_with_more_threads_changes_no_bit(whole, tmp_path):
-    assert recovered(tmp_path / "checkpoint.npz", "begin", 1, 2)[1] == "2"
+    assert recovered(tmp_path / "checkpoint.npz", "begin", 1, 2)[1] == "1"
     assert recovered(tmp_path / "checkpoint.npz", "resume", 2, 1) == whole

@@ -47,6 +47,10 @@ RUN = """
 file = "images.nc"
 [truth]
 file = "cloud.nc"
+[run]
+uncertainty = 2
+[solver]
+inner_iterations = 5
 [[stage]]
 grid = [6, 6, 6]
 samples = 8
@@ -308,12 +312,13 @@ def test_seed_must_be_of_32_bits(capsys):
     assert exit_.value.code == 2
 
 
-def test_reconstruct_writes_a_run_folder(folder, rendered, capsys):
+def test_reconstruct_writes_a_run_folder(folder, rendered, whole_figures, capsys):
     Path("images.nc").write_bytes(rendered)
     assert main("reconstruct run.toml --seed 2 --output run".split()) == 0
     files = ("reconstruction.nc", "history.csv", "settings.json", "modelled.nc", "report.html")
     for name in (*files, "figures/slices.png", "figures/history.pdf", "figures/comparison.png"):
         assert Path("run", name).stat().st_size > 0
+    assert Path("run/figures/history.pdf").read_bytes().startswith(b"%PDF")
     assert re.search(r"^eps [\d.]+  delta [-+][\d.]+%  run$", capsys.readouterr().out.splitlines()[-1])
 
 

@@ -29,6 +29,10 @@ RUN = """
 file = "images.nc"
 [truth]
 file = "cloud.nc"
+[run]
+uncertainty = 2
+[solver]
+inner_iterations = 5
 [[stage]]
 grid = [6, 6, 6]
 samples = 8

@@ -13,7 +13,7 @@ from cloudtomo_cl.reference.prior import smoothness_matrix
 
 SHAPE = (4, 3, 5)
 PIXELS = 90
-DRAWS = 400
+DRAWS = 200
 # Of a root mean square over the draws, five standard errors: a significance of 6e-7 for each of some 50 voxels.
 BOUND = 5 / np.sqrt(2 * DRAWS)
 
