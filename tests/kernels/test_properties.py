@@ -1,7 +1,7 @@
 """What holds for any scene: radiances and gradients are finite, radiances not negative, and paths are the reference's.
 
-Hypothesis draws the scenes, the same in every run; it goes for the corners: one voxel, empty and opaque clouds, rays on
-faces, edges and corners, a grazing sun, extreme peaks, albedos of 0 and 1.
+Hypothesis draws the scenes, the same in every run of the same code; it goes for the corners: one voxel, empty and
+opaque clouds, rays on faces, edges and corners, a grazing sun, extreme peaks, albedos of 0 and 1.
 """
 
 import numpy as np
@@ -102,6 +102,8 @@ def level_in_periodic(scene, view):
 def test_radiances_and_gradients_are_finite_and_radiances_not_negative(device, data, scene, exponent):
     view = data.draw(views(scene.grid))
     assume(not level_in_periodic(scene, view))
+    # From inside of such a cloud light that is hardly absorbed takes the square of the depth to get out: hours.
+    assume(exponent < 2 or scene.cloud.single_scattering_albedo < 0.999)
     extinction = extinctions(scene, 10.0**exponent, seed=1)
     operator = RadianceOperator(scene, [view], device)
     rendering = operator.render(extinction, 16, seed=3, store_paths=True)
