@@ -123,7 +123,7 @@ def test_known_calibration_errors_do_less_harm(problem, device):
     """
     scene, measurements, truth = problem
     images = tuple(image * gain for image, gain in zip(measurements.images, (1.0, 1.4, 0.7, 1.0)))
-    stages = (ct.Stage(grid=(8, 8, 8), iterations=5),)
+    stages = (ct.Stage(grid=(8, 8, 8), iterations=15),)
     errors = [
         ct.epsilon(recover((scene, replace(measurements, images=images, calibration_errors=known), truth), device,
                            stages=stages, prior=ct.Prior(), seed=2).extinction, truth)
