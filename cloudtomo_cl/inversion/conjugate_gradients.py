@@ -127,37 +127,22 @@ class _Descent:
         """Takes as much of the change as makes the function least, and sees what makes the next one conjugate."""
         vectors, descent, sums = self._vectors, self._descent, self._sums
         vectors.launch_parts(
-            "sums_of_change",
-            x=self._x,
-            upper=self._upper,
-            gradient=self._gradient,
-            change=self._change,
-            image=self._image,
-            sums=sums,
-        )
+            "sums_of_change", x=self._x, upper=self._upper, gradient=self._gradient, change=self._change,
+            image=self._image, sums=sums,
+        )  # fmt: skip
         vectors.launch_once(
             "choose_step", sums=sums, longest=_EXTRAPOLATION if self._others else np.inf, most_steps=iterations,
             tolerance=tolerance, descent=descent,
         )  # fmt: skip
         vectors.launch(
-            "take_step",
-            descent=descent,
-            change=self._change,
-            image=self._product,
-            x=self._x,
-            upper=self._upper,
+            "take_step", descent=descent, change=self._change, image=self._product, x=self._x, upper=self._upper,
             gradient=self._linear,
-        )
+        )  # fmt: skip
         self._gradient = self._whole_gradient()
         vectors.launch_parts(
-            "sums_of_gradient",
-            x=self._x,
-            upper=self._upper,
-            gradient=self._gradient,
-            scale=self._scale,
-            image=self._image,
-            sums=sums,
-        )
+            "sums_of_gradient", x=self._x, upper=self._upper, gradient=self._gradient, scale=self._scale,
+            image=self._image, sums=sums,
+        )  # fmt: skip
         vectors.launch_once("choose_conjugation", sums=sums, descent=descent)
 
     def _whole_gradient(self) -> DeviceArray:
