@@ -264,7 +264,10 @@ def _share_by(
     minimum: Callable[[InnerProblem, np.ndarray], np.ndarray], inner: InnerProblem, state: GaussNewtonState,
     jacobian: Jacobian, random: np.random.Generator,
 ) -> float:  # fmt: skip
-    """The share of the prior's pull on the mass that steps take back (`mass`), if they find minima so."""
+    """The share of the prior's pull on the mass that steps take back (`mass`), if they find minima so.
+
+    Without bounds upwards: those of a step hold gains back but not losses, while step after step goes on gaining.
+    """
     problem, extinction = inner.problem, state.extinction
     if not give_back(problem.prior.frozen(extinction), extinction, 0.0):
         return 0.0
@@ -273,7 +276,8 @@ def _share_by(
 
     def recovered(slope: np.ndarray, share: float) -> np.ndarray:
         images = Around([data], extinction, slope, problem.operator.device)
-        return minimum(replace(inner, data=images, returned=share), extinction)
+        unbounded = np.full_like(extinction, np.inf)
+        return minimum(replace(inner, data=images, upper=unbounded, returned=share), extinction)
 
     return share_that_keeps_mass(recovered, extinction, noise)
 
