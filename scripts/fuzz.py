@@ -3,7 +3,7 @@
     python scripts/fuzz.py [--cases 2500] [--seed 0] [--seconds 120]
 
 Every case starts from a tiny scene that works and spoils one of its files: settings (types,
-keys, numbers, text), clouds, images, checkpoints, run folders (bytes, variables, dimensions,
+keys, numbers, text), clouds, images, checkpoints, priors, run folders (bytes, variables, dimensions,
 types, units, values); how is in spoiling.py. The answer must be exit status 0 with a result that can be read, or 2
 with a message and no file that was not there before; never a traceback, never a hang.
 
@@ -73,6 +73,7 @@ RUN: dict[str, Any] = {
     },
 }
 RENDER = ["render", "scene.toml", "--samples", "4", "--output", "new.nc"]
+LEARN = ["prior", "learn", "cloud.nc", "--components", "1", "--rounds", "2", "--output", "new.nc"]
 RECONSTRUCT = ["reconstruct", "run.toml", "--output", "new"]
 
 
@@ -88,7 +89,13 @@ def run_case(folder: Path, rng: random.Random) -> list[str]:
 
 def cloud_case(folder: Path, rng: random.Random) -> list[str]:
     spoil(folder / "cloud.nc", rng)
-    return rng.choice([RENDER, ["cloud", "cloud.nc"], ["cloud", "cloud.nc", "--output", "new.nc"]])
+    return rng.choice([RENDER, ["cloud", "cloud.nc"], ["cloud", "cloud.nc", "--output", "new.nc"], LEARN])
+
+
+def prior_case(folder: Path, rng: random.Random) -> list[str]:
+    spoil(folder / "prior.nc", rng)
+    (folder / "run.toml").write_text(toml({**RUN, "prior": {"type": "patches", "file": "prior.nc"}}))
+    return RECONSTRUCT
 
 
 def images_case(folder: Path, rng: random.Random) -> list[str]:
@@ -131,7 +138,7 @@ def arguments_case(folder: Path, rng: random.Random) -> list[str]:
 
 CASES: list[tuple[Callable[[Path, random.Random], list[str]], int]] = [
     (scene_case, 8), (run_case, 8), (cloud_case, 5), (images_case, 5), (checkpoint_case, 2), (report_case, 2),
-    (arguments_case, 2),
+    (arguments_case, 2), (prior_case, 2),
 ]  # fmt: skip
 
 
@@ -175,7 +182,7 @@ class Bench:
         (self.template / "run.toml").write_text(toml(RUN))
         images = ["--samples", "16", "--quiet", "--output", "images.nc"]
         run = ["--no-report", "--quiet", "--output", "old"]
-        for command in ([*RENDER[:2], *images], [*RECONSTRUCT[:2], *run]):
+        for command in ([*RENDER[:2], *images], [*RECONSTRUCT[:2], *run], [*LEARN[:-1], "prior.nc", "--quiet"]):
             with _inside(self.template):
                 if self.main(command) != 0:
                     raise SystemExit("the inputs that the cases start from do not work")
