@@ -82,6 +82,7 @@ COMMANDS = {
     "cloud": "cloud --generate cumulus --shape 6 6 6 --spacing 0.1 0.1 0.1 --output made_cloud.nc --overwrite",
     "cloud --png": "cloud cloud.nc --png made_cloud.png --overwrite",
     "mie --png": "mie --wavelength 2000 --effective-radius 2 3 --output made_mie.nc --png made_mie.png --overwrite",
+    "prior": "prior learn cloud.nc --components 1 --output made_prior.nc --overwrite",
     "init": "init reconstruct --output made_run.toml --overwrite",
     "render --png": "render scene.toml --samples 512 --output made_images.nc --png previews --overwrite",
     "flux": "flux scene.toml --photons 300000 --output made_fluxes.nc --overwrite",

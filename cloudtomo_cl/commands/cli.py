@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
 
-from cloudtomo_cl.commands import cloud, devices, flux, init, mie, ranks, reconstruct, render, report, validate
+from cloudtomo_cl.commands import cloud, devices, flux, init, mie, prior, ranks, reconstruct, render, report, validate
 from cloudtomo_cl.commands.stopping import StopRequest, exit_status, listening
 from cloudtomo_cl.commands.streams import forgiving
 from cloudtomo_cl.errors import CloudtomoError, DeviceError, Interrupted, printable
@@ -27,7 +27,7 @@ EXIT_INTERRUPTED = 130
 
 COMMANDS: dict[str, ModuleType] = {
     module.__name__.rpartition(".")[2]: module
-    for module in (devices, cloud, init, mie, render, flux, reconstruct, report, validate)
+    for module in (devices, cloud, init, mie, prior, render, flux, reconstruct, report, validate)
 }
 
 # Those whose work ranks of MPI share; of others the first rank does all.

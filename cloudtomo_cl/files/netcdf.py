@@ -198,6 +198,22 @@ def save_dataset(path: str | os.PathLike[str], dataset: xr.Dataset) -> None:
         dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
 
 
+def save_variables(
+    path: str | os.PathLike[str],
+    title: str,
+    variables: Mapping[str, Any],
+    coordinates: Mapping[str, Any],
+    attributes: Mapping[str, Any] | None,
+) -> None:
+    """Writes variables and coordinates, each its dimensions, values and attributes, as `save_dataset` does.
+
+    title, attributes : see `file_attributes`
+    """
+    import xarray as xr
+
+    save_dataset(path, xr.Dataset(variables, coordinates, file_attributes(title, attributes)))
+
+
 @contextmanager
 def netcdf_errors() -> Iterator[None]:
     """Turns what the netCDF library raises where a file cannot be written, such as a full disk's, into OSError."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -69,7 +69,12 @@ def _turned(patches: np.ndarray, random: np.random.Generator) -> np.ndarray:
 
 @with_one_blas_thread
 def fitted_mixture(
-    patches: np.ndarray, size: tuple[int, int, int], components: int, rounds: int, random: np.random.Generator
+    patches: np.ndarray,
+    size: tuple[int, int, int],
+    components: int,
+    rounds: int,
+    random: np.random.Generator,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Mixture:
     """The mixture of most likelihood, by expectation maximisation (Dempster, Laird and Rubin 1977), begun by k-means;
     and a first component for patches without cloud.
@@ -79,20 +84,27 @@ def fitted_mixture(
     patches : float32, shape (patches, values)
     components : of patches with cloud
     rounds : of expectation and maximisation
+    progress : called after every round with how many are done, and of how many
 
     Raises
     ------
-    DataError : fewer patches than components
+    DataError : fewer patches for each component than it has values: its covariance would be of less rank
     """
-    if len(patches) < components:
-        raise DataError(f"{len(patches)} patches are too few for {components} components: give more or larger clouds")
+    values = math.prod(size)
+    if len(patches) < components * values:
+        fewer = f", or take at most {len(patches) // values} components" if len(patches) >= values else ""
+        raise DataError(
+            f"{len(patches)} patches with cloud are too few for {components} components, each of which needs "
+            f"{values} or more: give more or larger clouds, or allow more patches{fewer}"
+        )
     shares = np.zeros((len(patches), components), np.float32)
     shares[np.arange(len(patches)), _clusters(patches, components, random)] = 1.0
-    for _ in range(rounds):
+    for done in range(1, rounds + 1):
         weights, means, covariances = _most_likely(patches, shares)
         shares = _shares(patches, weights, means, covariances)
+        if progress is not None:
+            progress(done, rounds)
     weights, means, covariances = _most_likely(patches, shares)
-    values = math.prod(size)
     return Mixture(
         size,
         np.concatenate([[_CLEAR_SHARE], (1 - _CLEAR_SHARE) * weights]),

@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion.bound_prior import BoundPrior, FrozenPrior, NoiseUnits
-from cloudtomo_cl.inversion.mixture import read_mixtures
+from cloudtomo_cl.inversion.mixture_file import read_mixtures
 from cloudtomo_cl.inversion.patch_operator import PatchOperator
 from cloudtomo_cl.inversion.patch_prior import BoundPatches
 from cloudtomo_cl.inversion.patches import Patches
@@ -49,8 +49,8 @@ class PatchPrior:
     strength : weight of minus the log likelihood of patches, averaged over the patches that hold a voxel; of
         patches with cloud it is half of that in the steps for a cloud of 200 voxels, and less for one of fewer
     noise : standard deviation to which patches are known, in units of s; a stage begins with 0.2
-    file : mixtures that scripts/learn_prior.py made; by default those that come with the package, learnt from
-        generated clouds
+    file : mixtures that `cloudtomo prior learn` made of clouds; by default those that come with the package, learnt
+        from generated ones
     """
 
     type: Literal["patches"] = "patches"

@@ -57,6 +57,7 @@ FILES = (
     "spectrum.nc",
     "phases.nc",
     "water.nc",
+    "prior.nc",
 )
 
 
@@ -72,6 +73,7 @@ def folder(tmp_path_factory):
         extinction = ct.cumulus(grid, seed=1)
         radius = np.where(extinction > 0, 10.0, np.nan)
         ct.write_extinction("cloud.nc", grid, extinction, {"source": "a test"}, radius)
+        assert main("prior learn cloud.nc --components 1 --rounds 1 --quiet --output prior.nc".split()) == 0
         assert main("render scene.toml --samples 16 --quiet --output images.nc".split()) == 0
         assert main("flux scene.toml --photons 5000 --quiet --output fluxes.nc".split()) == 0
         assert main("reconstruct run.toml --quiet --output run --no-report".split()) == 0

@@ -45,6 +45,7 @@ iterations = 2
 CLOUD = "cloud --generate cumulus --shape 6 6 6 --spacing 0.1 0.1 0.1 --seed 1 --quiet --output"
 # Droplets that are small beside the wavelength: a second of work.
 MIE = "mie --wavelength 2000 --effective-radius 2 --effective-variance 0.05 --quiet --output"
+PRIOR = "prior learn cloud.nc --components 1 --rounds 1 --quiet --output"
 PERIODIC = '--set boundary.horizontal="periodic"'
 
 # A command, and what it replaces. Reconstructions and reports have tests of their own.
@@ -53,6 +54,7 @@ WRITES = {
     "cloud --png": ("cloud cloud.nc --png {disk}/cloud.png --quiet", ["cloud.png"]),
     "mie": (f"{MIE} {{disk}}/mie.nc", ["mie.nc"]),
     "mie --png": (f"{MIE} {{elsewhere}}/mie.nc --png {{disk}}/mie.png", ["mie.png"]),
+    "prior": (f"{PRIOR} {{disk}}/prior.nc", ["prior.nc"]),
     "render": ("render scene.toml --samples 8 --quiet --output {disk}/images.nc", ["images.nc"]),
     "render --png": (
         "render scene.toml --samples 8 --quiet --output {elsewhere}/images.nc --png {disk}/previews", ["previews"]
@@ -76,6 +78,7 @@ def inputs(tmp_path_factory):
         assert main("render scene.toml --samples 256 --quiet --output images.nc --png previews".split()) == 0
         assert main(f"flux scene.toml --photons 5000 --quiet --output fluxes.nc {PERIODIC}".split()) == 0
         assert main("cloud cloud.nc --png cloud.png --quiet".split()) == 0
+        assert main(f"{PRIOR} prior.nc".split()) == 0
         if importlib.util.find_spec("miepython"):
             assert main(f"{MIE} mie.nc --png mie.png".split()) == 0
         assert main("reconstruct run.toml --quiet --output run --no-report".split()) == 0

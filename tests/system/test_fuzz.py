@@ -13,6 +13,7 @@ SCRIPT = Path(__file__).parents[2] / "scripts" / "fuzz.py"
 
 @pytest.fixture
 def bench(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(SCRIPT.parent)
     spec = importlib.util.spec_from_file_location("fuzz", SCRIPT)
     fuzz = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(fuzz)

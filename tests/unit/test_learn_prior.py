@@ -1,64 +1,205 @@
-"""The script that makes the patch prior's file."""
+"""`cloudtomo prior learn`, and the script that makes the package's own file."""
 
 import importlib.util
+import json
+import re
 import sys
 from pathlib import Path
 
+import netCDF4
 import numpy as np
 import pytest
+import xarray as xr
 from threadpoolctl import threadpool_limits
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.inversion.mixture import read_mixtures
+from cloudtomo_cl.commands import prior
+from cloudtomo_cl.commands.cli import main
+from cloudtomo_cl.inversion.bound_prior import NoiseUnits
+from cloudtomo_cl.inversion.learning import Learning, by_shape
+from cloudtomo_cl.inversion.mixture_file import SHIPPED, read_mixtures
+from cloudtomo_cl.inversion.priors import bound_prior
 
 SCRIPT = Path(__file__).parents[2] / "scripts/learn_prior.py"
-SMALL = "--count 4 --patches 1500 --components 3 --rounds 2".split()
+UNITS = NoiseUnits(1.0, 0.0)
+SMALL = "--patches 1500 --components 3 --rounds 2".split()
 
 
-@pytest.fixture
-def learn(monkeypatch):
-    spec = importlib.util.spec_from_file_location("learn_prior", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", [str(SCRIPT), *map(str, arguments)])
-        return module.main()
-
-    return run
+def cloud(folder, name, height=0.02, seed=1, factor=1.0):
+    """A file of a cumulus on voxels 0.02 km wide."""
+    grid = ct.Grid((12, 12, 12), (0.02, 0.02, height))
+    ct.write_extinction(folder / name, grid, factor * ct.cumulus(grid, seed))
+    return folder / name
 
 
-def test_the_same_seed_gives_the_same_bits_whatever_threads(learn, tmp_path):
+def learn(folder, *arguments, output="prior.nc"):
+    """The exit status; the file is `output`."""
+    return main(["prior", "learn", *map(str, arguments), *SMALL, "--output", str(folder / output)])
+
+
+def numbers(path):
+    """All of a file's arrays, as bytes."""
+    with xr.open_dataset(path) as dataset:
+        return {name: dataset[name].values.tobytes() for name in dataset.variables}
+
+
+def test_the_same_seed_gives_the_same_numbers_whatever_threads(tmp_path):
+    clouds = [cloud(tmp_path, "flat.nc"), cloud(tmp_path, "tall.nc", 0.04)]
     for threads in (1, 2):
         with threadpool_limits(limits=threads, user_api="blas"):
-            assert learn(*SMALL, "--aspects", 2, "--output", tmp_path / f"{threads}.npz") == 0
-    first, second = ((tmp_path / f"{threads}.npz").read_bytes() for threads in (1, 2))
-    assert first == second
+            assert learn(tmp_path, *clouds, "--seed", 3, output=f"{threads}.nc") == 0
+    assert numbers(tmp_path / "1.nc") == numbers(tmp_path / "2.nc")
 
 
-def test_another_seed_gives_another_mixture(learn, tmp_path):
+def test_another_seed_gives_other_numbers(tmp_path):
     for seed in (1, 2):
-        learn(*SMALL, "--aspects", 2, "--seed", seed, "--output", tmp_path / f"{seed}.npz")
-    means = [read_mixtures(tmp_path / f"{seed}.npz").mixtures[0].means for seed in (1, 2)]
-    assert not np.array_equal(*means)
+        assert learn(tmp_path, cloud(tmp_path, "cloud.nc"), "--seed", seed, output=f"{seed}.nc") == 0
+    assert numbers(tmp_path / "1.nc")["mean"] != numbers(tmp_path / "2.nc")["mean"]
 
 
-def test_given_clouds_are_learnt_from_for_the_shape_of_their_voxels(learn, tmp_path):
-    for seed in (1, 2):
-        grid = ct.Grid((16, 16, 12), (0.02, 0.02, 0.03))
-        ct.write_extinction(tmp_path / f"cloud-{seed}.nc", grid, ct.cumulus(grid, seed))
-    clouds = [tmp_path / f"cloud-{seed}.nc" for seed in (1, 2)]
-    assert learn(*clouds, *SMALL, "--output", tmp_path / "prior.npz") == 0
-    found = read_mixtures(tmp_path / "prior.npz")
-    assert found.aspects == pytest.approx((1.5,)) and len(found.mixtures[0]) == 1 + 3
-    ct.PatchPrior(file=tmp_path / "prior.npz")
+def test_a_cloud_five_times_as_bright_gives_the_same_mixture(tmp_path):
+    found = []
+    for factor in (1.0, 5.0):
+        assert learn(tmp_path, cloud(tmp_path, "cloud.nc", factor=factor), "--overwrite") == 0
+        found.append(read_mixtures(tmp_path / "prior.nc").mixtures[0])
+    np.testing.assert_allclose(found[1].means, found[0].means, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(found[1].covariances, found[0].covariances, rtol=1e-4, atol=1e-5)
 
 
-def test_clouds_of_different_voxels_are_refused(learn, tmp_path, capsys):
-    for height in (0.02, 0.04):
-        grid = ct.Grid((12, 12, 12), (0.02, 0.02, height))
-        ct.write_extinction(tmp_path / f"{height}.nc", grid, ct.cumulus(grid, 1))
-    clouds = [tmp_path / f"{height}.nc" for height in (0.02, 0.04)]
-    assert learn(*clouds, *SMALL, "--output", tmp_path / "prior.npz") == 2
-    assert "different heights over widths" in capsys.readouterr().err
-    assert not (tmp_path / "prior.npz").exists()
+def test_clouds_are_learnt_from_together_if_their_voxels_have_one_shape(tmp_path, capsys):
+    clouds = [cloud(tmp_path, f"{height}.nc", height) for height in (0.04, 0.02, 0.021)]
+    assert learn(tmp_path, *clouds) == 0
+    found = read_mixtures(tmp_path / "prior.nc")
+    assert found.aspects == pytest.approx((1.05**0.5, 2.0), rel=1e-6)
+    assert [len(mixture) for mixture in found.mixtures] == [1 + 3, 1 + 3]
+    first, second, *_ = capsys.readouterr().out.splitlines()
+    assert "1.02 times as high as wide: 2 clouds, " in first and "2 times as high as wide: 1 cloud, " in second
+
+
+def test_shapes_are_one_up_to_a_tenth_above_the_flattest():
+    """Not from one to the next, or shapes would be one by a chain of others."""
+    assert by_shape([4.0, 1.0, 1.19, 1.09]) == [[1, 3], [2], [0]]
+
+
+def test_what_is_printed_goes_into_settings_and_is_taken(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    cloud(tmp_path, "cloud.nc")
+    assert main("prior learn cloud.nc --output prior.nc --components 3 --rounds 2".split()) == 0
+    words = capsys.readouterr().out
+    settings = words[words.index("[prior]") :]
+    assert settings.splitlines() == ["[prior]", 'file = "prior.nc"']
+    view = '[[view]]\ntype = "orthographic"\nzenith = 20.0\nwidth = 0.4\npixels = [8, 8]\n'
+    (tmp_path / "scene.toml").write_text(f'[cloud]\nfile = "cloud.nc"\n[sun]\nzenith = 30.0\n{view}')
+    stage = "[[stage]]\ngrid = [6, 6, 6]\nsamples = 8\niterations = 1\n"
+    (tmp_path / "run.toml").write_text(f'[measurements]\nfile = "images.nc"\n{stage}{settings}')
+    assert main("render scene.toml --samples 64 --output images.nc --quiet".split()) == 0
+    assert main("reconstruct run.toml --output run --no-report --quiet".split()) == 0
+    assert json.loads((tmp_path / "run/settings.json").read_text())["settings"]["prior"]["file"].endswith("prior.nc")
+
+
+def test_a_file_is_the_prior_that_its_mixtures_are(tmp_path, device, random):
+    """The package's own under another name: the same bits."""
+    (tmp_path / "prior.nc").write_bytes(SHIPPED.read_bytes())
+    voxels = ct.Voxels(ct.Grid((8, 8, 8), (0.02,) * 3), np.ones((8, 8, 8), bool))
+    extinction = 30 * random.random(len(voxels))
+    found, expected = (
+        bound_prior(given, voxels, device).frozen(extinction).stiffness(np.eye(len(voxels))[:, :3], UNITS)
+        for given in (ct.PatchPrior(file=tmp_path / "prior.nc"), ct.PatchPrior())
+    )
+    assert np.array_equal(found, expected)
+
+
+def test_a_file_says_what_it_was_learnt_from(tmp_path):
+    assert learn(tmp_path, cloud(tmp_path, "cloud.nc"), "--seed", 5) == 0
+    with xr.open_dataset(tmp_path / "prior.nc") as dataset:
+        assert dataset.attrs["source"].startswith("cloudtomo-cl ")
+        told = json.loads(dataset.attrs["settings"])
+        assert told == {"clouds": ["cloud.nc"], "components": 3, "patches": 1500, "rounds": 2, "seed": 5}
+        assert dataset["mean"].dims[2:] == ("patch_x", "patch_y", "patch_z") and dataset["mean"].units == "1"
+
+
+def test_of_several_wavelengths_the_first_is_learnt_from(tmp_path):
+    path = cloud(tmp_path, "cloud.nc")
+    with xr.open_dataset(path) as opened:
+        one = opened.load()
+    values = np.stack([one.extinction.values, 2 * one.extinction.values[..., ::-1]])
+    one["extinction"] = (("wavelength", *one.extinction.dims), values, one.extinction.attrs)
+    wavelengths = ("wavelength", [672.0, 2130.0], {"units": "nm"})
+    one.assign_coords(wavelength=wavelengths).to_netcdf(tmp_path / "two.nc")
+    assert learn(tmp_path, path, output="one-prior.nc") == learn(tmp_path, tmp_path / "two.nc") == 0
+    assert numbers(tmp_path / "prior.nc") == numbers(tmp_path / "one-prior.nc")
+
+
+def test_an_archive_of_earlier_days_is_read(tmp_path):
+    assert learn(tmp_path, cloud(tmp_path, "cloud.nc")) == 0
+    expected = read_mixtures(tmp_path / "prior.nc").mixtures[0]
+    rows, columns = np.tril_indices(75)
+    np.savez(
+        tmp_path / "prior.npz", size=[5, 5, 3], aspects=[1.0], weights=[expected.weights], means=[expected.means],
+        covariances=[expected.covariances[:, rows, columns]],
+    )  # fmt: skip
+    found = read_mixtures(tmp_path / "prior.npz").mixtures[0]
+    for name in ("size", "weights", "means", "covariances"):
+        assert np.array_equal(getattr(found, name), getattr(expected, name))
+
+
+def _clear(folder):
+    with netCDF4.Dataset(cloud(folder, "given.nc"), "a") as dataset:
+        dataset["extinction"][:] = 0
+
+
+def _water(folder):
+    with netCDF4.Dataset(cloud(folder, "given.nc"), "a") as dataset:
+        dataset.renameVariable("extinction", "lwc")
+
+
+MISTAKES = {
+    "no file": (lambda folder: None, [], "given.nc: no such file"),
+    "no netCDF": (lambda folder: (folder / "given.nc").write_text("x"), [], "given.nc: not a netCDF file"),
+    "water": (_water, [], "given.nc: holds no extinction: .* cloudtomo cloud .*given.nc --output"),
+    "clear sky": (_clear, [], "given.nc: extinction is zero in every voxel"),
+    "too few patches": (lambda folder: cloud(folder, "given.nc"), ["--patches", "200"],
+                        "200 patches .* too few for 3 components, .* needs 75 or more: .* at most 2 components"),
+    "no patch for a component": (lambda folder: cloud(folder, "given.nc"), ["--patches", "20"],
+                                 "voxels 1 times as high as wide: 20 patches .* allow more patches$"),
+    "another format": (lambda folder: cloud(folder, "given.nc"), ["--output", "prior.npz"], "must end in .nc"),
+    "no folder": (lambda folder: cloud(folder, "given.nc"), ["--output", "none/prior.nc"], "does not exist"),
+    "there already": (lambda folder: cloud(folder, "given.nc") and (folder / "prior.nc").touch(), [],
+                      "prior.nc: exists already: choose another --output, or add --overwrite"),
+    "over the cloud": (lambda folder: cloud(folder, "given.nc"), ["--output", "given.nc", "--overwrite"],
+                       "given.nc: is a cloud to learn from"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("prepare", "words", "said"), MISTAKES.values(), ids=MISTAKES)
+def test_a_mistake_is_told_and_leaves_all_as_it_was(tmp_path, monkeypatch, capsys, prepare, words, said):
+    monkeypatch.chdir(tmp_path)
+    prepare(tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    assert main(["prior", "learn", "given.nc", *SMALL, "--output", "prior.nc", *words]) == 2
+    message = capsys.readouterr().err.strip()
+    assert "Traceback" not in message
+    assert re.search(said, message), message
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize("option", ["--components", "--patches", "--rounds"])
+@pytest.mark.parametrize("number", ["0", "-1", "1.5", "many", "1000000000"])
+def test_numbers_have_bounds(tmp_path, capsys, option, number):
+    with pytest.raises(SystemExit) as left:
+        main(["prior", "learn", "cloud.nc", "--output", "prior.nc", option, number])
+    assert left.value.code == 2 and f"'{number}' is no whole number from 1 to " in capsys.readouterr().err
+
+
+def test_help_tells_the_defaults_of_the_library():
+    assert Learning() == Learning(prior.COMPONENTS, prior.PATCHES, prior.ROUNDS)
+
+
+def test_the_script_learns_from_generated_clouds_for_each_shape(tmp_path, monkeypatch):
+    spec = importlib.util.spec_from_file_location("learn_prior", SCRIPT)
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    words = [*SMALL, "--count", "4", "--aspects", "2", "1", "--output", str(tmp_path / "own.nc")]
+    monkeypatch.setattr(sys, "argv", [str(SCRIPT), *words])
+    script.main()
+    assert read_mixtures(tmp_path / "own.nc").aspects == (2.0, 1.0)

@@ -5,7 +5,8 @@ import pytest
 
 import cloudtomo_cl as ct
 from cloudtomo_cl.inversion.bound_prior import NoiseUnits
-from cloudtomo_cl.inversion.mixture import Mixture, MixtureFile, read_mixtures
+from cloudtomo_cl.inversion.mixture import Mixture
+from cloudtomo_cl.inversion.mixture_file import MixtureFile, read_mixtures
 from cloudtomo_cl.inversion.mixture_fit import cloudy_patches, fitted_mixture
 from cloudtomo_cl.inversion.patch_operator import PatchOperator, PatchQuadratic
 from cloudtomo_cl.inversion.patch_prior import BoundPatches, voxels_of_cloud
@@ -258,18 +259,20 @@ def test_patches_to_learn_from_do_not_follow_the_clouds_brightness(random):
 
 
 def test_a_file_gives_back_the_mixture_for_the_shape_of_voxels(tmp_path, mixture, random):
-    MixtureFile((1.0, 2.0), (mixture_of(random), mixture)).write(tmp_path / "prior.npz")
-    found = read_mixtures(tmp_path / "prior.npz").of_spacing((0.02, 0.02, 0.038))
+    MixtureFile((1.0, 2.0), (mixture_of(random), mixture)).write(tmp_path / "prior.nc")
+    found = read_mixtures(tmp_path / "prior.nc").of_spacing((0.02, 0.02, 0.038))
     np.testing.assert_allclose(found.covariances, mixture.covariances, rtol=1e-6)
     np.testing.assert_allclose(found.means, mixture.means, rtol=1e-6)
 
 
-@pytest.mark.parametrize("content", [None, b"no archive"], ids=["absent", "damaged"])
+@pytest.mark.parametrize(
+    "content", [None, b"no mixture", b"PK\x05\x06" + bytes(18)], ids=["absent", "damaged", "empty archive"]
+)
 def test_a_file_without_mixtures_is_refused(tmp_path, content):
-    path = tmp_path / "prior.npz"
+    path = tmp_path / "prior.nc"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(ct.CloudtomoError, match="prior.npz: "):
+    with pytest.raises(ct.CloudtomoError, match="prior.nc: "):
         read_mixtures(path)
 
 
