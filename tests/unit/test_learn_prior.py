@@ -17,7 +17,8 @@ from cloudtomo_cl.commands import prior
 from cloudtomo_cl.commands.cli import main
 from cloudtomo_cl.inversion.bound_prior import NoiseUnits
 from cloudtomo_cl.inversion.learning import Learning, by_shape
-from cloudtomo_cl.inversion.mixture_file import SHIPPED, read_mixtures
+from cloudtomo_cl.inversion.mixture import Mixture
+from cloudtomo_cl.inversion.mixture_file import SHIPPED, MixtureFile, read_mixtures
 from cloudtomo_cl.inversion.priors import bound_prior
 
 SCRIPT = Path(__file__).parents[2] / "scripts/learn_prior.py"
@@ -116,6 +117,17 @@ def test_a_file_says_what_it_was_learnt_from(tmp_path):
         told = json.loads(dataset.attrs["settings"])
         assert told == {"clouds": ["cloud.nc"], "components": 3, "patches": 1500, "rounds": 2, "seed": 5}
         assert dataset["mean"].dims[2:] == ("patch_x", "patch_y", "patch_z") and dataset["mean"].units == "1"
+
+
+def test_values_stand_where_their_voxel_is_in_the_patch(tmp_path):
+    """Mean and covariance of a patch whose value is 15 x + 3 y + z."""
+    values = np.arange(75.0)
+    mixture = Mixture((5, 5, 3), np.ones(1), values[None], (np.minimum.outer(values, values) + np.eye(75))[None])
+    MixtureFile((1.0,), (mixture,)).write(tmp_path / "prior.nc")
+    with xr.open_dataset(tmp_path / "prior.nc") as dataset:
+        assert dataset["mean"].isel(patch_x=2, patch_y=3, patch_z=1).values.tolist() == [[15 * 2 + 3 * 3 + 1]]
+    found = read_mixtures(tmp_path / "prior.nc").mixtures[0]
+    assert np.array_equal(found.means, mixture.means) and np.array_equal(found.covariances, mixture.covariances)
 
 
 def test_of_several_wavelengths_the_first_is_learnt_from(tmp_path):
