@@ -7,6 +7,7 @@ import pytest
 
 import cloudtomo_cl as ct
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.inversion.solvers.gauss_newton import trusted
 
 GRID = ct.Grid(shape=(6, 5, 7), spacing=(0.1, 0.1, 0.08))
 
@@ -236,6 +237,22 @@ def test_a_step_makes_no_voxel_deeper_than_its_model_is_trusted(problem):
     depth = 1 / (2 / np.sum(1 / np.array(problem.grid.spacing)))
     state, _ = solver.step(problem, solver.init(problem, np.full(len(problem.voxels), 0.1 * depth)), seed=2, stream=1)
     assert state.extinction.max() == pytest.approx((0.1 + 1 / 3) * depth)
+
+
+def test_simulated_recoveries_may_go_on_upwards(problem, truth, monkeypatch):
+    """What the share of mass is found by, where images are fitted: not held back as one step of many is."""
+    reached = []
+
+    def share_that_keeps_mass(recovered, extinction, noise):
+        bound = trusted(extinction, problem.grid)
+        reached.append((recovered(-100 * np.abs(noise[:, 0]), 1.0) / bound).max())  # as if far more light had come
+        return 0.0
+
+    monkeypatch.setattr("cloudtomo_cl.inversion.solvers.gauss_newton.share_that_keeps_mass", share_that_keeps_mass)
+    solver, start = ct.GaussNewton(image_samples=1), truth[problem.mask].astype(float)
+    state, _ = solver.step(problem, solver.init(problem, start), seed=2, stream=1)
+    assert state.fitted and reached[0] > 1.5
+    assert np.all(state.extinction <= trusted(start, problem.grid) * (1 + 1e-5))
 
 
 def test_old_names_are_answered_with_the_new(scene, measurements, device):
