@@ -27,6 +27,7 @@ from cloudtomo_cl.files.stored_settings import read_settings
 from cloudtomo_cl.files.truth import read_truth
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint
+from cloudtomo_cl.inversion.priors import unlike_prior
 from cloudtomo_cl.inversion.reconstruct import check, reconstruct
 from cloudtomo_cl.inversion.records import COLUMNS, IterationRecord, Reconstruction
 from cloudtomo_cl.inversion.run import records
@@ -236,6 +237,8 @@ def _say_what_begins(job: Job) -> None:
     if measurements.invalid_pixels:
         share = measurements.invalid_pixels / sum(image.size for image in measurements.images)
         job.say(f"{measurements.invalid_pixels} invalid pixels ({share:.2%}) are not used")
+    if unlike := unlike_prior(job.settings.prior, job.scene.grid):
+        job.say(unlike)
     if resumed is None:
         if job.request.resume:
             job.say(f"{job.request.output} has no checkpoint: starting from the beginning")

@@ -33,6 +33,8 @@ _MEANINGS = {
     "mean": "extinction of a component's patches over the mean extinction of their cloud",
     "covariance": "covariance of the values of a component's patches",
 }
+# Voxels are like those that were learnt from if height over width differs by no more than this factor.
+_ALIKE = 1.5
 # Each of several devices' threads reads the prior of its own, and the netCDF library is not made for threads.
 _one_at_a_time = threading.Lock()
 
@@ -52,7 +54,23 @@ class MixtureFile:
 
     def of_spacing(self, spacing: tuple[float, ...]) -> Mixture:
         """That for voxels whose shape is the most like."""
-        return self.mixtures[int(np.argmin(np.abs(np.log(np.divide(self.aspects, aspect_ratio(spacing))))))]
+        return self.mixtures[int(np.argmin(self._factors(spacing)))]
+
+    def unlike(self, spacing: tuple[float, ...]) -> str:
+        """What sets voxels apart from all that were learnt from, in words; empty if some are like them."""
+        factors = self._factors(spacing)
+        if factors.min() <= _ALIKE:
+            return ""
+        return (
+            f"the prior was learnt from no clouds on voxels like these, {aspect_ratio(spacing):.3g} times as high as "
+            f"wide: it takes those of {self.aspects[int(np.argmin(factors))]:.3g}, which may be worse than smoothness "
+            f'([prior] type = "smoothness"); {LEARN} learns from clouds of yours'
+        )
+
+    def _factors(self, spacing: tuple[float, ...]) -> np.ndarray:
+        """By which each shape differs from the voxels', 1 and more."""
+        factors: np.ndarray = np.exp(np.abs(np.log(np.divide(self.aspects, aspect_ratio(spacing)))))
+        return factors
 
     def write(self, path: str | os.PathLike[str], attributes: Mapping[str, Any] | None = None) -> None:
         """Writes a netCDF file, whole or not at all; numbers in single precision.

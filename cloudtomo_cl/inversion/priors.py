@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion.bound_prior import BoundPrior, FrozenPrior, NoiseUnits
-from cloudtomo_cl.inversion.mixture_file import read_mixtures
+from cloudtomo_cl.inversion.mixture_file import SHIPPED, read_mixtures
 from cloudtomo_cl.inversion.patch_operator import PatchOperator
 from cloudtomo_cl.inversion.patch_prior import BoundPatches
 from cloudtomo_cl.inversion.patches import Patches
@@ -22,6 +22,7 @@ from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, device_errors
 from cloudtomo_cl.renamed import renamed_arguments
+from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import NotNegative, Positive
 
 # Diagonal of A^T A away from the edges: 1 + 26 / 26^2.
@@ -121,6 +122,16 @@ class Regulariser(Protocol):
         ...
 
 
+def unlike_prior(prior: AnyPrior | Regulariser, grid: Grid) -> str:
+    """What sets a grid's voxels apart from those that a prior was learnt from, in words; empty if nothing does.
+
+    Raises
+    ------
+    DataError : the prior's file is none
+    """
+    return read_mixtures(prior.file or SHIPPED).unlike(grid.spacing) if isinstance(prior, PatchPrior) else ""
+
+
 def bound_prior(prior: AnyPrior | Regulariser, voxels: Voxels, device: Device) -> BoundPrior:
     """A prior for the voxels of one stage.
 
@@ -129,8 +140,7 @@ def bound_prior(prior: AnyPrior | Regulariser, voxels: Voxels, device: Device) -
     DataError : it is neither a `PatchPrior`, nor a `Prior`, nor has `value_and_gradient`; it has no such file
     """
     if isinstance(prior, PatchPrior):
-        mixtures = read_mixtures() if prior.file is None else read_mixtures(prior.file)
-        mixture = mixtures.of_spacing(voxels.grid.spacing)
+        mixture = read_mixtures(prior.file or SHIPPED).of_spacing(voxels.grid.spacing)
         operator = PatchOperator(Patches(voxels, mixture.size), mixture, device)
         return RelativePrior(BoundPatches(operator, prior.strength, prior.noise), 1.0)
     if isinstance(prior, Prior):

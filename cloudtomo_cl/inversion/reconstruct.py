@@ -14,7 +14,7 @@ import numpy as np
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, identity_of, read_checkpoint
-from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser
+from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser, unlike_prior
 from cloudtomo_cl.inversion.problem import Problem, checked_mask
 from cloudtomo_cl.inversion.records import History, IterationRecord, Reconstruction
 from cloudtomo_cl.inversion.run import (
@@ -134,6 +134,8 @@ def reconstruct(
     def checked() -> Checkpoint | None:
         own = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
         check(scene, measurements, stages, prior, solver, mask=mask, device=device, seed=seed, truth=truth, resume=own)
+        if unlike := unlike_prior(prior, scene.grid):
+            _LOGGER.warning(unlike)
         return own
 
     resumed = ranks.together(checked)
@@ -262,6 +264,7 @@ def check(
     stages = stages_of(scene.grid, stages, solver)
     checked_seed(seed)
     check_wavelength(scene, measurements)
+    unlike_prior(prior, scene.grid)  # which reads its file
     if truth is not None and np.shape(truth) != scene.grid.shape:
         raise DataError(f"truth has shape {np.shape(truth)}, the grid {scene.grid.shape}")
     if truth is not None:

@@ -82,6 +82,15 @@ def test_shapes_are_one_up_to_a_tenth_above_the_flattest():
     assert by_shape([4.0, 1.0, 1.19, 1.09]) == [[1, 3], [2], [0]]
 
 
+def run_file(folder, prior):
+    """run.toml, of one iteration from the images of cloud.nc in the folder, with this table [prior]."""
+    view = '[[view]]\ntype = "orthographic"\nzenith = 20.0\nwidth = 0.4\npixels = [8, 8]\n'
+    (folder / "scene.toml").write_text(f'[cloud]\nfile = "cloud.nc"\n[sun]\nzenith = 30.0\n{view}')
+    stage = "[[stage]]\ngrid = [6, 6, 6]\nsamples = 8\niterations = 1\n"
+    (folder / "run.toml").write_text(f'[measurements]\nfile = "images.nc"\n{stage}{prior}')
+    assert main("render scene.toml --samples 64 --output images.nc --quiet".split()) == 0
+
+
 def test_what_is_printed_goes_into_settings_and_is_taken(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     cloud(tmp_path, "cloud.nc")
@@ -89,13 +98,30 @@ def test_what_is_printed_goes_into_settings_and_is_taken(tmp_path, monkeypatch, 
     words = capsys.readouterr().out
     settings = words[words.index("[prior]") :]
     assert settings.splitlines() == ["[prior]", 'file = "prior.nc"']
-    view = '[[view]]\ntype = "orthographic"\nzenith = 20.0\nwidth = 0.4\npixels = [8, 8]\n'
-    (tmp_path / "scene.toml").write_text(f'[cloud]\nfile = "cloud.nc"\n[sun]\nzenith = 30.0\n{view}')
-    stage = "[[stage]]\ngrid = [6, 6, 6]\nsamples = 8\niterations = 1\n"
-    (tmp_path / "run.toml").write_text(f'[measurements]\nfile = "images.nc"\n{stage}{settings}')
-    assert main("render scene.toml --samples 64 --output images.nc --quiet".split()) == 0
+    run_file(tmp_path, settings)
     assert main("reconstruct run.toml --output run --no-report --quiet".split()) == 0
     assert json.loads((tmp_path / "run/settings.json").read_text())["settings"]["prior"]["file"].endswith("prior.nc")
+
+
+def test_a_prior_of_voxels_of_another_shape_is_told(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    cloud(tmp_path, "cloud.nc")
+    assert learn(tmp_path, cloud(tmp_path, "tall.nc", 0.04)) == 0
+    run_file(tmp_path, '[prior]\nfile = "prior.nc"\n')
+    assert main("reconstruct run.toml --output run --no-report".split()) == 0
+    said = capsys.readouterr().out
+    assert "learnt from no clouds on voxels like these, 1 times as high as wide: it takes those of 2, " in said
+
+
+def test_a_damaged_prior_is_found_before_the_first_path(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    cloud(tmp_path, "cloud.nc")
+    (tmp_path / "prior.nc").write_bytes(b"no mixture")
+    run_file(tmp_path, '[prior]\nfile = "prior.nc"\n')
+    assert main("reconstruct run.toml --output run".split()) == 2
+    said = capsys.readouterr()
+    assert "prior.nc: holds no mixtures" in said.err and "carving" not in said.out
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_file_is_the_prior_that_its_mixtures_are(tmp_path, device, random):

@@ -265,6 +265,12 @@ def test_a_file_gives_back_the_mixture_for_the_shape_of_voxels(tmp_path, mixture
     np.testing.assert_allclose(found.means, mixture.means, rtol=1e-6)
 
 
+@pytest.mark.parametrize(("height", "alike"), [(0.009, True), (0.006, False), (0.058, True), (0.064, False)])
+def test_voxels_unlike_all_that_were_learnt_from_are_told(mixture, height, alike):
+    """Learnt from heights over width of 0.5 and 2; a factor of 1.5 is alike."""
+    assert (MixtureFile((0.5, 2.0), (mixture, mixture)).unlike((0.02, 0.02, height)) == "") is alike
+
+
 @pytest.mark.parametrize(
     "content", [None, b"no mixture", b"PK\x05\x06" + bytes(18)], ids=["absent", "damaged", "empty archive"]
 )
