@@ -12,8 +12,8 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from varied_cumuli import varied_cumuli
 
-from cloudtomo_cl.clouds.varied import varied_cumuli
 from cloudtomo_cl.commands.provenance import source, versions
 from cloudtomo_cl.inversion.learning import Learning, learnt_mixture
 from cloudtomo_cl.inversion.mixture_file import SHIPPED, MixtureFile

@@ -84,7 +84,6 @@ TESTS: dict[str, tuple[str, ...]] = {
     "*/inversion/patch*.py": (UNIT + "patch_prior",),
     "*/inversion/learning.py": (UNIT + "learn_prior",),
     "*/commands/prior.py": (UNIT + "learn_prior",),
-    "*/clouds/varied.py": (UNIT + "learn_prior",),
     "*/inversion/mixture*.py": (UNIT + "patch_prior", UNIT + "learn_prior"),
     "*/inversion/relative_prior.py": (UNIT + "patch_prior",),
     "*/inversion/pixels.py": (UNIT + "measurements", UNIT + "objective", SYSTEM + "inversion"),

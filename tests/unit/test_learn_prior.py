@@ -1,6 +1,5 @@
 """`cloudtomo prior learn`, and the script that makes the package's own file."""
 
-import importlib.util
 import json
 import re
 import sys
@@ -234,10 +233,10 @@ def test_help_tells_the_defaults_of_the_library():
 
 
 def test_the_script_learns_from_generated_clouds_for_each_shape(tmp_path, monkeypatch):
-    spec = importlib.util.spec_from_file_location("learn_prior", SCRIPT)
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
+    monkeypatch.syspath_prepend(str(SCRIPT.parent))
+    import learn_prior
+
     words = [*SMALL, "--count", "4", "--aspects", "2", "1", "--output", str(tmp_path / "own.nc")]
     monkeypatch.setattr(sys, "argv", [str(SCRIPT), *words])
-    script.main()
+    learn_prior.main()
     assert read_mixtures(tmp_path / "own.nc").aspects == (2.0, 1.0)
