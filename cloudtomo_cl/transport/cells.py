@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 # A cell is so deep at most, in optical depths divided by 1 - g, along every axis: light hardly changes within.
-_DEPTH = 0.25
+_DEPTH = 0.125
 # Light changes fast below the cloud's surface, and across it. Inside, cells may be deeper along an axis, by so much for
 # an optical depth of 1 / (1 - g) along it.
-_COARSENING = 2.0
+_COARSENING = 1.0
 # Beside a voxel so deep that it is divided light changes in thin ones, too: those with so much of its depth are halved.
 _THIN = 0.02
 # Parts along an axis at most, and cells in all: for so many voxels, and in any case.

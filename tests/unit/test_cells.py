@@ -6,7 +6,7 @@ import pytest
 from cloudtomo_cl.transport.cells import Cells, depth_within, largest_beside, most_cells
 
 SPACING = (0.02, 0.02, 0.04)
-EXTINCTION = np.array([0.0, 3.0, 60.0, 150.0, 400.0])
+EXTINCTION = np.array([0.0, 3.0, 30.0, 80.0, 160.0])
 
 
 @pytest.fixture
