@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 # A cell is so deep at most, in optical depths divided by 1 - g, along every axis: light hardly changes within.
-_DEPTH = 0.125
+_DEPTH = 0.25
 # Light changes fast below the cloud's surface, and across it. Inside, cells may be deeper along an axis, by so much for
 # an optical depth of 1 / (1 - g) along it.
-_COARSENING = 1.0
+_COARSENING = 2.0
 # Beside a voxel so deep that it is divided light changes in thin ones, too: those with so much of its depth are halved.
 _THIN = 0.02
+# All that is for so many photons a voxel, or fewer. More of them have less noise, and finer cells less bias.
+_PHOTONS = 100.0
 # Parts along an axis at most, and cells in all: for so many voxels, and in any case.
 _MOST_PARTS = 8
 _MOST_PER_VOXEL, _ALWAYS = 3, 16_000
@@ -49,6 +51,7 @@ class Cells:
         asymmetry: float,
         within: np.ndarray | float = 0.0,
         beside: np.ndarray | float = 0.0,
+        photons: float = _PHOTONS,
     ) -> Cells:
         """Cells in which light does not change much, as far as there may be so many.
 
@@ -60,10 +63,12 @@ class Cells:
         within : optical depth of the cloud between a voxel and the outside along x, y, z, shape (voxels, 3): see
             `depth_within`
         beside : largest extinction of the neighbours, km^-1, shape (voxels,): see `largest_beside`
+        photons : from the sun, for each voxel
         """
         depth = np.asarray(extinction, float)[:, None] * np.asarray(spacing)
-        limit = min(_DEPTH / float(np.clip(1 - asymmetry, 1e-6, 1)), _DEPTH * _MOST_PARTS)
-        coarser = np.broadcast_to(1 + _COARSENING * (1 - asymmetry) * np.asarray(within), depth.shape)
+        size = min(1.0, _PHOTONS / photons)  # of that by default
+        limit = size * min(_DEPTH / float(np.clip(1 - asymmetry, 1e-6, 1)), _DEPTH * _MOST_PARTS)
+        coarser = np.broadcast_to(1 + size * _COARSENING * (1 - asymmetry) * np.asarray(within), depth.shape)
         depth_beside = np.broadcast_to(beside, len(depth))[:, None] * np.asarray(spacing)
         while True:
             parts = np.clip(np.ceil(depth / (limit * coarser)), 1, _MOST_PARTS)

@@ -124,9 +124,10 @@ class RadianceTable:
         extinction, spacing = medium.extinction.get(), scene.grid.spacing
         is_periodic = scene.boundary.horizontal == "periodic"
         around = (depth_within(extinction, spacing, is_periodic), largest_beside(extinction, is_periodic))
-        divided = Cells.of(
-            extinction[self._mask], spacing, scene.cloud.phase_function.g, *(field[self._mask] for field in around)
-        )
+        within, beside = (field[self._mask] for field in around)
+        photons = self._photons_of(rendering) / max(self.columns, 1)
+        asymmetry = scene.cloud.phase_function.g
+        divided = Cells.of(extinction[self._mask], spacing, asymmetry, within, beside, photons)
         self.cells = len(divided)
         self._places = device.constant(divided.places)
         self.release()
@@ -171,9 +172,13 @@ class RadianceTable:
 
     def _filled(self, rendering: Rendering, sums: DeviceArray) -> float:
         """Adds what this rank's photons bring; returns what `Photons.fill` does."""
-        photons = _PHOTONS_PER_PATH * rendering.samples * len(self._operator.pixels)
         places = {"column": self.column, "cells": self._places}
+        photons = self._photons_of(rendering)
         return self._photons.fill(rendering._medium, photons, rendering.seed, rendering.stream, places, sums)
+
+    def _photons_of(self, rendering: Rendering) -> int:
+        """From the sun, of all ranks."""
+        return _PHOTONS_PER_PATH * rendering.samples * len(self._operator.pixels)
 
     def rays(self, rendering: Rendering) -> int:
         """Of each pixel, along which the derivatives of first flights are made: an even number."""

@@ -219,7 +219,7 @@ def test_what_droplets_absorb_is_the_light_that_crosses_them(device):
 
     Fluxes by other photons; within 4 standard errors, of under 1 %, and 0.5 % that points of direct sunlight miss."""
     scene = Scene(GRID, Sun(zenith=40, azimuth=200), Cloud(0.8, HenyeyGreenstein(g=0.7)))
-    values = np.minimum(extinction(), 6).astype(np.float32)
+    values = np.minimum(extinction(), 12).astype(np.float32)
     operator = RadianceOperator(scene, VIEWS, device, mask=values > 0)
     rendering = operator.render(values, 2, store_paths=True)
     table = RadianceTable(operator)

@@ -6,7 +6,7 @@ import pytest
 from cloudtomo_cl.transport.cells import Cells, depth_within, largest_beside, most_cells
 
 SPACING = (0.02, 0.02, 0.04)
-EXTINCTION = np.array([0.0, 3.0, 30.0, 80.0, 160.0])
+EXTINCTION = np.array([0.0, 3.0, 60.0, 150.0, 400.0])
 
 
 @pytest.fixture
@@ -47,6 +47,13 @@ def test_thin_voxels_beside_divided_ones_are_halved():
     extinction, beside = np.array([10.0, 0.01, 10.0]), np.array([400.0, 400.0, 10.0])
     parts = Cells.of(extinction, SPACING, 0.85, 0.0, beside).parts
     np.testing.assert_array_equal(parts, [[2, 2, 2], [1, 1, 1], [1, 1, 1]])
+
+
+@pytest.mark.parametrize(("photons", "times"), [(1.0, 1), (100.0, 1), (200.0, 2), (400.0, 4)])
+def test_more_photons_make_cells_finer_and_fewer_none_coarser(photons, times):
+    """Voxels of an optical depth of 3 along x and y."""
+    parts = Cells.of(np.array([60.0]), (0.05, 0.05, 0.3), 0.85, photons=photons).parts
+    np.testing.assert_array_equal(parts, [[2 * times, 2 * times, 8]])
 
 
 @pytest.fixture
