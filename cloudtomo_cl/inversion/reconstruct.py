@@ -134,7 +134,7 @@ def reconstruct(
     def checked() -> Checkpoint | None:
         own = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
         check(scene, measurements, stages, prior, solver, mask=mask, device=device, seed=seed, truth=truth, resume=own)
-        if unlike := unlike_prior(prior, scene.grid):
+        if ranks.is_first and (unlike := unlike_prior(prior, scene.grid)):
             _LOGGER.warning(unlike)
         return own
 
