@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -193,7 +194,8 @@ def execute(job: Job) -> Outcome:
     job.folder.begin(_description(job), before or None)
     stop.answer = "finishing the iteration"
     try:
-        with ReconstructionProgress(job.console, job.settings.run.time_limit) as show:
+        with warnings.catch_warnings(), ReconstructionProgress(job.console, job.settings.run.time_limit) as show:
+            warnings.filterwarnings("ignore", "the prior was learnt", RuntimeWarning)  # it is told already
             show.go_on(before)
 
             def record(iteration: IterationRecord) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -121,6 +122,8 @@ def reconstruct(
     uncertainty : draws that the standard error is made of, at the end, in the time of an iteration or two; 0: none.
         Known with Gauss-Newton, when the last stage was reached, the images' noise is known, and nobody asked to stop
 
+    Warns of voxels of a shape that the patch prior was not learnt from (RuntimeWarning).
+
     Raises
     ------
     DataError : an array does not fit the scene's grid, no pixel sees the mask, the checkpoint
@@ -134,11 +137,11 @@ def reconstruct(
     def checked() -> Checkpoint | None:
         own = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
         check(scene, measurements, stages, prior, solver, mask=mask, device=device, seed=seed, truth=truth, resume=own)
-        if ranks.is_first and (unlike := unlike_prior(prior, scene.grid)):
-            _LOGGER.warning(unlike)
         return own
 
     resumed = ranks.together(checked)
+    if ranks.is_first and (unlike := unlike_prior(prior, scene.grid)):
+        warnings.warn(unlike, RuntimeWarning, stacklevel=3)  # of who calls, by way of `renamed_arguments`
     stages = stages_of(scene.grid, stages, solver)
     if mask is None:
         mask = carved_mask(scene, measurements, device) if resumed is None else resumed.mask

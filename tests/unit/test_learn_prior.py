@@ -109,7 +109,18 @@ def test_a_prior_of_voxels_of_another_shape_is_told(tmp_path, monkeypatch, capsy
     run_file(tmp_path, '[prior]\nfile = "prior.nc"\n')
     assert main("reconstruct run.toml --output run --no-report".split()) == 0
     said = capsys.readouterr().out
+    assert said.count("the prior was learnt") == 1
     assert "learnt from no clouds on voxels like these, 1 times as high as wide: it takes those of 2, " in said
+
+
+def test_python_warns_of_a_prior_of_voxels_of_another_shape(device):
+    grid = ct.Grid((6, 6, 6), (0.1, 0.1, 0.01))
+    scene = ct.Scene(grid=grid, sun=ct.Sun(zenith=20.0))
+    operator = ct.RadianceOperator(scene, [ct.OrthographicView(zenith=0, azimuth=0, width=0.6, pixels=(6, 6))], device)
+    images = ct.Measurements.rendered(operator, operator.render(np.full(grid.shape, 9.0), 16))
+    once = [ct.Stage(grid=grid.shape, samples=8, iterations=1)]
+    with pytest.warns(RuntimeWarning, match="0.1 times as high as wide: it takes those of 0.5"):
+        ct.reconstruct(scene, images, once, device=device, uncertainty=0)
 
 
 def test_a_damaged_prior_is_found_before_the_first_path(tmp_path, monkeypatch, capsys):
