@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import coarsened
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.transport.near_field import about_how_many_entries
 from cloudtomo_cl.transport.radiance import footprint
 
 # On the device: the prior's arrays. On the host: extinctions of the stage and of the finest grid.
@@ -31,7 +33,7 @@ def stage_footprint(
 
     Parameters
     ----------
-    solver : whose method `footprint(pixels, voxels, longest)` says what it keeps
+    solver : whose method `footprint(pixels, voxels, longest, entries)` says what it keeps
     mask : bool, on the scene's grid; without one all pixels and voxels count, and what solvers keep does not
     ranks : that share the pixels: what one of them takes
 
@@ -46,7 +48,8 @@ def stage_footprint(
     needed = footprint(voxels, pixels, pixels * (stage.samples or 0) // ranks)
     needed += Footprint(_PRIOR_BYTES_PER_VOXEL * voxels, 8 * voxels, _HOST_BYTES_PER_VOXEL * (voxels + finest))
     if mask is not None and hasattr(solver, "footprint"):
-        kept = coarsened(mask, stage.grid)
-        active = active_pixels(measurements.at_share(stage.pixels), scene.grid.with_shape(stage.grid), kept)
-        needed += solver.footprint(-(-len(active) // ranks), int(kept.sum()), max(stage.grid))
+        kept, coarse = coarsened(mask, stage.grid), replace(scene, grid=scene.grid.with_shape(stage.grid))
+        active = active_pixels(measurements.at_share(stage.pixels), coarse.grid, kept)
+        entries = about_how_many_entries(active.views, active.listed, coarse, kept)
+        needed += solver.footprint(-(-len(active) // ranks), int(kept.sum()), max(stage.grid), -(-entries // ranks))
     return needed

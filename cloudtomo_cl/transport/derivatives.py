@@ -12,7 +12,7 @@ from cloudtomo_cl.opencl.fixed_point import summed
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
 from cloudtomo_cl.scene.scene import Cloud
-from cloudtomo_cl.transport.cells import Cells, depth_within, largest_beside, most_cells
+from cloudtomo_cl.transport.cells import Cells, depth_within, largest_beside
 from cloudtomo_cl.transport.directions import BINS, FEATURES, scattering_matrix, solid_angles
 from cloudtomo_cl.transport.photons import Photons
 from cloudtomo_cl.transport.radiance import FIXED_POINT_SCALE, RadianceOperator, Rendering, largest_adjoint
@@ -21,18 +21,18 @@ from cloudtomo_cl.transport.radiance import FIXED_POINT_SCALE, RadianceOperator,
 _PHOTONS_PER_PATH = 1
 # Of them for each ray along which the derivatives of first flights are made.
 _PATHS_PER_RAY = 4
-# Of an entry on the device: its sum, and the two numbers that become of it. On the host, where several ranks add up:
-# their sums.
-_BYTES_PER_ENTRY, _LARGEST_BYTES, _HOST_BYTES = 16, 8, 24
 # In which ranks add up their sums.
 _SUMMED_PARTS = 8
+# Of an entry on the device: its sum, and the two numbers that become of it. On the host, where several ranks add up:
+# sums of a part.
+_BYTES_PER_ENTRY, _LARGEST_BYTES, _HOST_BYTES = 16, 8, 24 / _SUMMED_PARTS
 # Kernels count the table's entries with signed integers of 32 bits.
 _MOST_ENTRIES = 2**31 - 1
 
 
-def table_footprint(voxels: int) -> Footprint:
-    """What a `RadianceTable` of so many voxels takes at most."""
-    entries = most_cells(voxels) * BINS
+def table_footprint(cells: int) -> Footprint:
+    """What a `RadianceTable` of so many cells takes; voxels have one each at least, and up to `most_cells`."""
+    entries = cells * BINS
     return Footprint(_BYTES_PER_ENTRY * entries, _LARGEST_BYTES * entries, _HOST_BYTES * entries)
 
 
@@ -70,11 +70,7 @@ class RadianceTable:
             f"the radiance table of {self.columns} voxels",
             'choose a smaller mask or grid, or solver.gradient = "replay"',
         )
-        if most_cells(self.columns) * BINS > _MOST_ENTRIES:
-            raise DataError(
-                f"the radiance table of {self.columns} voxels is more than kernels count: choose a smaller mask or "
-                'grid, or solver.gradient = "replay"'
-            )
+        _require_countable(self.columns)
         column = np.full(mask.shape, -1, np.int32)
         column[mask] = np.arange(self.columns)
         self.column = device.constant(column)
@@ -129,6 +125,7 @@ class RadianceTable:
         asymmetry = scene.cloud.phase_function.g
         divided = Cells.of(extinction[self._mask], spacing, asymmetry, within, beside, photons)
         self.cells = len(divided)
+        _require_countable(self.cells)
         self._places = device.constant(divided.places)
         self.release()
         sums = device.zeros((self.cells, BINS), np.int64)
@@ -225,6 +222,14 @@ class RadianceTable:
         with operator.device.lock:  # pyopencl's own kernels, too, are shared by threads
             gradient = total.astype(np.float32) * np.float32(unit)
         return gradient, tangent * irradiance / rendering.samples
+
+
+def _require_countable(cells: int) -> None:
+    if cells * BINS > _MOST_ENTRIES:
+        raise DataError(
+            f"the radiance table of {cells} voxels and parts of such is more than kernels count: choose a smaller mask "
+            'or grid, or solver.gradient = "replay"'
+        )
 
 
 def _albedo(cloud: Cloud) -> float:

@@ -19,7 +19,7 @@ from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.parallel.ranks import Shares
 from cloudtomo_cl.transport.by_voxel import COLUMNS_AT_ONCE, FAR_PART, PRODUCT_FEATURES, ByVoxel, by_voxel
 from cloudtomo_cl.transport.derivatives import RadianceTable
-from cloudtomo_cl.transport.near_field import Blocks, pixel_blocks, tiles_of, voxel_blocks
+from cloudtomo_cl.transport.near_field import MOST_PAIRS, Blocks, pixel_blocks, tiles_of, voxel_blocks
 from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering
 
 # Slots of tiles whose sums are made at a time; a CPU is busy with fewer paths, and they take memory.
@@ -90,12 +90,13 @@ class NearField:
             )  # fmt: skip
 
 
-def jacobian_footprint(pixels: int, voxels: int, longest: int) -> Footprint:
-    """What the derivatives of so many pixels and voxels take at most, on a grid with so many voxels along an axis."""
-    slots = pixels * longest * TILE_WIDTH**2
-    entries = min(slots, pixels * voxels)
-    sums = 8.0 * min(slots, _SLOTS_AT_ONCE + longest * TILE_WIDTH**2)
-    far = 12.0 * (1 << 25)
+def jacobian_footprint(pixels: int, voxels: int, longest: int, entries: int) -> Footprint:
+    """What the derivatives of so many pixels and voxels take, on a grid with so many voxels along an axis.
+
+    entries : of the near field (`about_how_many_entries`)
+    """
+    sums = 8.0 * min(pixels * longest * TILE_WIDTH**2, _SLOTS_AT_ONCE + longest * TILE_WIDTH**2)
+    far = 12.0 * min(MOST_PAIRS, pixels * voxels)
     return Footprint(20.0 * entries + sums + far, max(4.0 * entries, sums, far), 16.0 * entries)
 
 

@@ -15,7 +15,9 @@ from cloudtomo_cl.scene.sensors import RayView, View
 # Edges of blocks: of pixels in their image; of voxels at least, doubled until there are no more pairs than these.
 PIXEL_EDGE = 4
 _VOXEL_EDGE = 2
-_MOST_PAIRS = 1 << 25
+MOST_PAIRS = 1 << 25
+# Pixels whose entries are counted to know about how many there are.
+_COUNTED = 1000
 
 
 def lines_of_sight(views: Sequence[View], pixels: np.ndarray, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -66,6 +68,39 @@ def tiles_of(views: Sequence[View], pixels: np.ndarray, scene: Scene, mask: np.n
     first, last = _slabs_near(tiles, mask, scene.boundary.horizontal == "periodic")
     tiles["first_slab"], tiles["slabs"] = first, np.maximum(last - first + 1, 0)
     return tiles
+
+
+def about_how_many_entries(views: Sequence[View], pixels: np.ndarray, scene: Scene, mask: np.ndarray) -> int:
+    """Voxels of the mask in all pixels' tiles, from those of every so many-th pixel.
+
+    Parameters
+    ----------
+    pixels : (view, row * width + column), shape (pixels, 2)
+    """
+    if not len(pixels):
+        return 0
+    tiles = tiles_of(views, pixels[:: -(-len(pixels) // _COUNTED)], scene, mask)
+    periodic = scene.boundary.horizontal == "periodic"
+    return round(sum(_voxels_in(tile, mask, periodic) for tile in tiles) / len(tiles) * len(pixels))
+
+
+def _voxels_in(tile: np.void, mask: np.ndarray, periodic: bool) -> int:
+    """How many voxels of the mask are in a tile; as `slot_index` in kernels/near_field.h has them."""
+    slabs = tile["first_slab"] + np.arange(tile["slabs"])
+    corners = np.floor(tile["centre"] + slabs[:, None] * tile["slope"]).astype(int) - TILE_WIDTH // 2
+    around = corners[:, :, None] + np.arange(TILE_WIDTH)
+    places: list[np.ndarray] = [slabs] * 3
+    inside = np.ones((len(slabs), TILE_WIDTH, TILE_WIDTH), bool)
+    for axis, along in (
+        (int(tile["axis"]), slabs[:, None, None]),
+        ((int(tile["axis"]) + 1) % 3, around[:, 0, :, None]),
+        ((int(tile["axis"]) + 2) % 3, around[:, 1, None, :]),
+    ):
+        wraps = periodic and axis < 2 and axis != tile["axis"]
+        place = along % mask.shape[axis] if wraps else along
+        inside &= (place >= 0) & (place < mask.shape[axis])
+        places[axis] = np.clip(place, 0, mask.shape[axis] - 1)
+    return int(np.count_nonzero(mask[tuple(places)] & inside))
 
 
 def _slabs_near(tiles: np.ndarray, mask: np.ndarray, periodic: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -145,7 +180,7 @@ def voxel_blocks(mask: np.ndarray, pixel_blocks: int) -> Blocks:
     edge = _VOXEL_EDGE
     while edge < 2 * max(mask.shape):
         blocks = Blocks.by_label(places // edge)
-        if len(blocks) * pixel_blocks <= _MOST_PAIRS:
+        if len(blocks) * pixel_blocks <= MOST_PAIRS:
             return blocks
         edge *= 2
     raise DataError(f"{pixel_blocks} blocks of pixels are more than derivatives are kept for: use fewer pixels")

@@ -11,7 +11,13 @@ from cloudtomo_cl.opencl.layout import TILE_WIDTH
 from cloudtomo_cl.scene.scene import Boundary
 from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.jacobian import JacobianSums
-from cloudtomo_cl.transport.near_field import lines_of_sight, pixel_blocks, tiles_of, voxel_blocks
+from cloudtomo_cl.transport.near_field import (
+    about_how_many_entries,
+    lines_of_sight,
+    pixel_blocks,
+    tiles_of,
+    voxel_blocks,
+)
 
 GRID = ct.Grid(shape=(11, 9, 10), spacing=(0.04, 0.05, 0.03), origin=(0.2, -0.1, 0.3))
 SCENE = ct.Scene(grid=GRID, sun=ct.Sun(zenith=40.0, azimuth=30.0), surface=ct.Surface(albedo=0.2))
@@ -71,6 +77,17 @@ def test_a_tile_is_around_the_line_of_sight(extinction, device, horizontal):
     found = pattern(sums.structure)
     # Single precision may round the line to the other side of a face.
     assert (found != expected[:, operator.mask]).mean() < 1e-3 and 0.05 < found.mean() < 0.9
+
+
+@pytest.mark.parametrize("horizontal", ["open", "periodic"])
+@pytest.mark.parametrize(("counted", "error"), [(1000, 0.0), (60, 0.1)])
+def test_entries_are_counted_before_there_are_any(extinction, device, monkeypatch, horizontal, counted, error):
+    """To know how much memory they take: all of these few pixels, or some of them."""
+    monkeypatch.setattr("cloudtomo_cl.transport.near_field._COUNTED", counted)
+    scene = replace(SCENE, boundary=Boundary(horizontal=horizontal))
+    operator, _, sums = prepared(scene, extinction, device, samples=2)
+    found = about_how_many_entries(VIEWS, operator.pixels, scene, operator.mask)
+    assert found == pytest.approx(sums.structure.entries, rel=error)
 
 
 @pytest.mark.parametrize("horizontal", ["open", "periodic"])
@@ -138,5 +155,5 @@ def test_blocks_have_each_member_once():
 
 def test_blocks_of_voxels_grow_with_the_number_of_pixels(monkeypatch):
     mask = np.ones((16, 16, 16), bool)
-    monkeypatch.setattr("cloudtomo_cl.transport.near_field._MOST_PAIRS", 64 * 100)
+    monkeypatch.setattr("cloudtomo_cl.transport.near_field.MOST_PAIRS", 64 * 100)
     assert len(voxel_blocks(mask, 10)) == 512 and len(voxel_blocks(mask, 100)) == 64

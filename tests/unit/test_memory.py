@@ -51,6 +51,12 @@ def test_the_largest_piece_counts_too():
         footprint(64, 100_000).require(SmallDevice(1e9, 1e6), "rendering", "choose fewer pixels")
 
 
+def test_a_cpu_has_the_machines_memory_whatever_its_driver_says():
+    small = SmallDevice(1e6, 1e9)
+    small.shares_memory = True
+    footprint(64, 100_000).require(small, "rendering", "choose fewer pixels")
+
+
 def test_a_late_stage_too_large_is_told_at_the_start():
     image = np.ones((3, 3))
     measurements = ct.Measurements((view(3, 3),), (image,), (image,))

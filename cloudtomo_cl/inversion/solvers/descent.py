@@ -94,7 +94,7 @@ class _Descent:
         """
         return (self.iterations or 600, 200) if last else (100, 20)
 
-    def footprint(self, pixels: int, voxels: int, longest: int) -> Footprint:
+    def footprint(self, pixels: int, voxels: int, longest: int, entries: int) -> Footprint:
         """What moments and table take."""
         own = Footprint(20 * voxels, 4 * voxels, 24 * voxels)
         return own + table_footprint(voxels) if self.gradient == "adjoint" else own

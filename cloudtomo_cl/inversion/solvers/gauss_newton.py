@@ -125,9 +125,13 @@ class GaussNewton:
         """Iterations and window of an automatic stage."""
         return (self.iterations or 30, 30) if last else (4, 20)
 
-    def footprint(self, pixels: int, voxels: int, longest: int) -> Footprint:
-        """What derivatives, table and prior take, of a grid with so many voxels along its longest axis."""
-        return table_footprint(voxels) + jacobian_footprint(pixels, voxels, longest) + stencil_footprint(voxels)
+    def footprint(self, pixels: int, voxels: int, longest: int, entries: int) -> Footprint:
+        """What derivatives, table and prior take, of a grid with so many voxels along its longest axis.
+
+        entries : of the Jacobian's near field
+        """
+        derivatives = jacobian_footprint(pixels, voxels, longest, entries)
+        return table_footprint(voxels) + derivatives + stencil_footprint(voxels)
 
     def init(self, problem: Problem, extinction: np.ndarray) -> GaussNewtonState:
         """Before the first iteration; see `Solver`."""
