@@ -30,8 +30,10 @@ from cloudtomo_cl.transport.radiance import RadianceOperator
 if TYPE_CHECKING:
     from cloudtomo_cl.inversion.linear_model import LinearModel
 
-# Paths that derivatives are made of, for each voxel of the mask, and the least of all.
+# Paths that derivatives are made of, for each voxel of the mask, and the least of all. More voxels for a pixel than so
+# many are no reason for more paths.
 _PATHS_PER_VOXEL = 90
+_VOXELS_PER_PIXEL = 2
 _LEAST_PATHS = 50_000
 
 
@@ -134,7 +136,8 @@ class Problem:
     @property
     def default_samples(self) -> int:
         """Paths per pixel that derivatives are made of, where nobody says."""
-        return max(2, 2 * round(max(_PATHS_PER_VOXEL * len(self.voxels), _LEAST_PATHS) / len(self.active) / 2))
+        voxels = min(len(self.voxels), _VOXELS_PER_PIXEL * len(self.active))
+        return max(2, 2 * round(max(_PATHS_PER_VOXEL * voxels, _LEAST_PATHS) / len(self.active) / 2))
 
     def with_motions(self, motions: np.ndarray) -> Problem:
         """The same problem, of views after small motions (`scene.pointing`), shape (views, 3)."""

@@ -34,7 +34,8 @@ class Stage:
     grid : numbers of voxels along x, y, z
     pixels : width and height of the images, as a share of the measured ones
     samples : paths per pixel and iteration that derivatives are made of, even; by default so many
-        that an iteration has 90 for each voxel that may hold cloud with Gauss-Newton, 60,000 in a descent
+        that an iteration has 90 for each voxel that may hold cloud with Gauss-Newton, and no pixel more than 180;
+        60,000 in a descent
     iterations : at most; the stage ends earlier when its cost has stopped falling
     window : the least number of iterations whose mean cost is compared with that of as many
         before

@@ -15,17 +15,16 @@ _COARSENING = 2.0
 _THIN = 0.02
 # All that is for so many photons a voxel, or fewer. More of them have less noise, and finer cells less bias.
 _PHOTONS = 100.0
-# Parts along an axis at most, and cells in all: for so many voxels, and in any case; with more photons up to so many
-# times as many.
+# Parts along an axis at most, and cells in all: for so many voxels, and in any case.
 _MOST_PARTS = 8
-_MOST_PER_VOXEL, _ALWAYS, _MOST_TIMES = 3, 16_000, 4.0
+_MOST_PER_VOXEL, _ALWAYS = 3, 16_000
 # By what cells grow until they are no more than that.
 _GROWTH = 1.1
 
 
-def most_cells(voxels: int, photons: float = np.inf) -> int:
-    """How many cells so many voxels have at most, with so many photons for each."""
-    return max(_MOST_PER_VOXEL * voxels, round(_ALWAYS * float(np.clip(photons / _PHOTONS, 1.0, _MOST_TIMES))))
+def most_cells(voxels: int) -> int:
+    """How many cells so many voxels have at most."""
+    return max(_MOST_PER_VOXEL * voxels, _ALWAYS)
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,7 @@ class Cells:
             parts = np.clip(np.ceil(depth / (limit * coarser)), 1, _MOST_PARTS)
             is_halved = (depth_beside > limit) & (depth > _THIN * depth_beside)
             parts = np.where(is_halved, np.maximum(parts, 2), parts)
-            if parts.prod(axis=1).sum() <= most_cells(len(depth), photons):
+            if parts.prod(axis=1).sum() <= most_cells(len(depth)):
                 return cls(parts.astype(np.int32))
             limit *= _GROWTH
 

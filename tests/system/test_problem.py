@@ -225,10 +225,33 @@ def test_an_own_solver_goes_on_from_a_checkpoint(scene, measurements, device, tr
 @pytest.mark.parametrize(("paths", "samples", "expected"), [(1.0, None, 1), (2.5, None, 2.5), (2.5, 8, None)])
 def test_paths_are_those_by_default_times_a_factor(problem, paths, samples, expected):
     """And those of a stage, where it says how many."""
-    problem, solver = replace(problem, samples=samples), ct.GaussNewton(paths=paths, image_samples=1)
+    problem, solver = replace(problem, samples=samples), ct.GaussNewton(paths=paths, image_samples=0)
     _, progress = solver.step(problem, solver.init(problem, np.full(len(problem.voxels), 5.0)), seed=2, stream=1)
     of_derivatives = samples or 2 * round(expected * problem.default_samples / 2)
-    assert progress.paths == 2 * of_derivatives * len(problem.pixels)
+    assert progress.paths == of_derivatives * len(problem.pixels)
+
+
+@pytest.mark.parametrize(("voxels", "expected"), [(1000, 90), (2000, 180), (10**6, 180)])
+def test_more_voxels_for_a_pixel_than_two_are_no_reason_for_more_paths(problem, voxels, expected):
+    """90 paths for each of them: of 1000 pixels, each so many."""
+    assert replace(problem, active=range(1000), voxels=range(voxels)).default_samples == expected
+
+
+@pytest.mark.parametrize(
+    ("error", "extinction", "expected"),
+    [
+        (0.3, 1.0, 6),  # of the measured images' own: their noise is far below a rendering's
+        (10.0, 1.0, 1),
+        (0.3, 0.0, 1),  # no cloud, where images have one
+    ],
+)
+def test_images_have_no_more_paths_than_it_takes_for_their_noise(problem, truth, error, extinction, expected):
+    """To be small beside that of the measured images, or the misfit; 30 paths a pixel, the images have 256."""
+    active = replace(problem.active, standard_error=error * problem.active.standard_error)
+    problem = replace(problem, active=active, samples=30)
+    solver = ct.GaussNewton()
+    _, progress = solver.step(problem, solver.init(problem, extinction * truth[problem.mask]), seed=2, stream=1)
+    assert progress.paths == expected * 30 * len(problem.pixels)
 
 
 def test_a_step_makes_no_voxel_deeper_than_its_model_is_trusted(problem):

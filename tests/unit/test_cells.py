@@ -29,11 +29,6 @@ def test_there_are_no_more_cells_than_allowed():
     assert voxels < len(Cells.of(np.full(voxels, 1e4), SPACING, 0.85)) <= most_cells(voxels)
 
 
-def test_few_voxels_have_more_cells_with_more_photons():
-    numbers = [len(Cells.of(np.full(100, 1e6), SPACING, 0.85, photons=photons)) for photons in (1.0, 100.0, 400.0)]
-    assert numbers[0] == numbers[1] < 3 * numbers[1] < numbers[2]
-
-
 def test_cells_are_numbered_voxel_by_voxel(cells):
     assert (cells.places[:, 0] == np.flatnonzero(np.diff(cells.voxel, prepend=-1))).all()
     assert cells.counts.sum() == len(cells) == len(cells.voxel)

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass as plain_dataclass
 from dataclasses import replace
+from math import ceil
 from typing import Annotated, Literal
 
 import numpy as np
@@ -39,6 +40,8 @@ _LOGGER = logging.getLogger(__name__)
 _FITTING = 2.5
 # A step's largest change of a voxel upwards: by this optical depth along a mean chord, or by this factor.
 _TRUSTED_DEPTH, _TRUSTED_GROWTH = 1 / 3, 1.3
+# What noise of a rendering may be of the misfit, or of the measured images' noise, without more paths for the images.
+_NOISE_OF_MISFIT, _NOISE_OF_MEASURED = 0.1, 2.0
 # Share of a predicted change of a pixel that is taken for the prediction's error.
 _TANGENT_ERROR = 0.1
 # Paths of an iteration, times those by default, at most.
@@ -105,9 +108,10 @@ class GaussNewton:
         more by `--resume`, unless its cost has settled
     start : extinction inside the mask before the first stage, km^-1; by default an optical depth of 1 along a mean
         chord of the box around the mask
-    paths : of an iteration, times those by default (90 for the derivatives for each voxel that may hold cloud): with
-        more of them noise is less, and the minimum that is found better; in stages without `samples` of their own
-    image_samples : paths for the images, times those for the derivatives
+    paths : of an iteration, times those by default (90 for the derivatives for each voxel that may hold cloud, but no
+        more than 180 for each pixel): with more of them noise is less, and the minimum that is found better; in stages without `samples` of their own
+    image_samples : paths for the images, times those for the derivatives, at most: fewer where their noise is small
+        beside the misfit or the measured images' noise
     damping : of the first steps, in shares of the data term's own curvature; it halves from step to step, down to
         a tenth
     inner_iterations : of the minimisation of the quadratic model, at most
@@ -158,7 +162,8 @@ class GaussNewton:
         derivatives = _derivatives_of(problem, state, seed)
         seen = problem.with_motions(state.motions)
         walked = derivatives.add(seen, state.extinction, seed, stream)
-        rendering = self._with_more_paths(seen, walked, state.extinction, seed, stream)
+        more = walked.samples * self._times_more(problem, state, walked)
+        rendering = _with_more_paths(seen, walked, more, state.extinction, seed, stream)
         cost, error = _cost(problem, rendering.halves, state)
         state = _with_image(problem, state, rendering)
         state = replace(
@@ -176,15 +181,18 @@ class GaussNewton:
         samples = problem.samples or max(2, 2 * round(self.paths * problem.default_samples / 2))
         return replace(problem, samples=samples)
 
-    def _with_more_paths(
-        self, problem: Problem, walked: Rendering, extinction: np.ndarray, seed: int, stream: int
-    ) -> Rendering:
-        """The rendering that derivatives were made of, with more paths for the images."""
-        if not self.image_samples:
-            return walked
-        more = walked.samples * self.image_samples
-        values = problem.on_grid(extinction)
-        return pooled(walked, problem.operator.render(values, more, seed, stream, first_sample=walked.samples))
+    def _times_more(self, problem: Problem, state: GaussNewtonState, walked: Rendering) -> int:
+        """How many times as many paths as derivatives are made of the images have beside them.
+
+        No more than it takes for their noise to be small beside the misfit, or beside that of the measured images.
+        """
+        cost, error = _cost(problem, walked.halves, state)
+        measured = noise_of(problem.active.variance, problem.weights)
+        bearable = max(_NOISE_OF_MISFIT * (cost - 2 * error), _NOISE_OF_MEASURED * measured)
+        noise = noise_of(walked.standard_error**2, problem.weights)
+        if noise >= (1 + self.image_samples) * bearable:
+            return self.image_samples
+        return max(ceil(noise / bearable) - 1, 0)
 
     def _minimised(
         self, problem: Problem, state: GaussNewtonState, seed: int, stream: int
@@ -237,6 +245,16 @@ class GaussNewton:
         prior = problem.prior.frozen(state.extinction)
         give_back(prior, state.extinction, state.returned)
         return WIDENED * standard_errors(_noisy_model(problem, state, jacobian, prior), draws, seed)
+
+
+def _with_more_paths(
+    problem: Problem, walked: Rendering, more: int, extinction: np.ndarray, seed: int, stream: int
+) -> Rendering:
+    """The rendering that derivatives were made of, with more paths a pixel for the images."""
+    if not more:
+        return walked
+    values = problem.on_grid(extinction)
+    return pooled(walked, problem.operator.render(values, more, seed, stream, first_sample=walked.samples))
 
 
 def trusted(extinction: np.ndarray, grid: Grid) -> np.ndarray:
