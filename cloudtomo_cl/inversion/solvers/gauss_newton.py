@@ -109,7 +109,8 @@ class GaussNewton:
     start : extinction inside the mask before the first stage, km^-1; by default an optical depth of 1 along a mean
         chord of the box around the mask
     paths : of an iteration, times those by default (90 for the derivatives for each voxel that may hold cloud, but no
-        more than 180 for each pixel): with more of them noise is less, and the minimum that is found better; in stages without `samples` of their own
+        more than 180 for each pixel): with more of them noise is less, and the minimum that is found better; in stages
+        without `samples` of their own
     image_samples : paths for the images, times those for the derivatives, at most: fewer where their noise is small
         beside the misfit or the measured images' noise
     damping : of the first steps, in shares of the data term's own curvature; it halves from step to step, down to
