@@ -71,7 +71,7 @@ def tiles_of(views: Sequence[View], pixels: np.ndarray, scene: Scene, mask: np.n
 
 
 def about_how_many_entries(views: Sequence[View], pixels: np.ndarray, scene: Scene, mask: np.ndarray) -> int:
-    """Voxels of the mask in all pixels' tiles, from those of every so many-th pixel.
+    """Voxels of the mask in all pixels' tiles, from those of some pixels.
 
     Parameters
     ----------
@@ -79,7 +79,9 @@ def about_how_many_entries(views: Sequence[View], pixels: np.ndarray, scene: Sce
     """
     if not len(pixels):
         return 0
-    tiles = tiles_of(views, pixels[:: -(-len(pixels) // _COUNTED)], scene, mask)
+    # At random: every so many-th might be all of one column.
+    some = np.sort(np.random.default_rng(0).permutation(len(pixels))[:_COUNTED])
+    tiles = tiles_of(views, pixels[some], scene, mask)
     periodic = scene.boundary.horizontal == "periodic"
     return round(sum(_voxels_in(tile, mask, periodic) for tile in tiles) / len(tiles) * len(pixels))
 
