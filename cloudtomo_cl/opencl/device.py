@@ -200,6 +200,7 @@ class Device:
 
     Attributes
     ----------
+    is_cpu : and no accelerator, even one of the same memory
     lock : of what threads share: a kernel's arguments are its own, from when they are set until it is launched
     regenerates : whether work items walk several paths, for they go in step
     keeps_local : whether what a path is while it flies lies in local memory
@@ -216,6 +217,7 @@ class Device:
         self.queue = cl.CommandQueue(self.context, properties=cl.command_queue_properties.PROFILING_ENABLE)
         self.name = opencl_device.name.strip()
         self.accumulation = _accumulation(opencl_device)
+        self.is_cpu = bool(opencl_device.type & cl.device_type.CPU)
         self.regenerates = bool(opencl_device.type & cl.device_type.GPU)
         self.group_size = group_size(opencl_device) if self.regenerates else WORK_GROUP_SIZE
         self.keeps_local = self.regenerates and keeps_local(opencl_device, self.group_size)

@@ -52,7 +52,7 @@ class Footprint:
             held = replace(self, device=self.device + there, host=self.host + self.stored - there, stored=0.0)
             return held.require(device, what, advice)
         # A CPU's memory is the machine's own, whatever its driver says: PoCL 3.0 said 5.3 GB of 24, and gave 9.
-        total = math.inf if device.shares_memory else device.opencl.global_mem_size
+        total = math.inf if device.is_cpu else device.opencl.global_mem_size
         for needed, there, words in (
             (self.device, total, "has"),
             (self.largest, device.opencl.max_mem_alloc_size, "gives at most"),

@@ -27,7 +27,7 @@ class SmallDevice:
     """A device that says it has little memory."""
 
     name = "small"
-    shares_memory = False
+    shares_memory = is_cpu = False
     ranks = ALONE
 
     def __init__(self, total, largest):
@@ -53,7 +53,7 @@ def test_the_largest_piece_counts_too():
 
 def test_a_cpu_has_the_machines_memory_whatever_its_driver_says():
     small = SmallDevice(1e6, 1e9)
-    small.shares_memory = True
+    small.shares_memory = small.is_cpu = True
     footprint(64, 100_000).require(small, "rendering", "choose fewer pixels")
 
 
