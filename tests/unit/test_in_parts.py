@@ -34,6 +34,7 @@ def small():
         device.opencl = Claims(
             device.opencl, global_mem_size=memory, max_mem_alloc_size=memory // 2, host_unified_memory=False
         )
+        device.is_cpu = False
         return device
 
     return made
