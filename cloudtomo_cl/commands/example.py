@@ -17,7 +17,7 @@ _GRID = Grid(shape=(16, 16, 16), spacing=(0.05, 0.05, 0.05))  # km
 _SEED, _SAMPLES = 1, 256
 # On the finest grid: enough for a first look. A time limit would make the cloud depend on the machine, and end the
 # first run of all, which compiles the kernels, before it has got anywhere.
-ITERATIONS = 8
+ITERATIONS = 12
 _FILES = ("cloud.nc", "scene.toml", "images.nc", "run.toml")
 
 
