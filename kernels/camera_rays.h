@@ -42,8 +42,7 @@ typedef struct {
 
 inline float ray_source(const CameraRay *own, uint cell, float sunlight)
 {
-    return own->table->source[cell * DIRECTION_BINS + own->bin]
-           + own->sun_density * sunlight * own->table->sunlight[cell];
+    return diffuse_source(own->table, cell, own->bin) + own->sun_density * sunlight * own->table->sunlight[cell];
 }
 
 /* Steps that cells are crossed in: sunlight changes in them. */
@@ -140,8 +139,8 @@ inline float radiance_behind(const Flight *flight, const CameraRay *own)
 {
     if (!flight->collided && !flight->lost)
         return 0.0f;
-    const size_t place = (size_t)own->last * DIRECTION_BINS + own->bin;
-    return own->transmittance * (own->table->source[place] - own->table->scattered[place]);
+    const float source = diffuse_source(own->table, own->last, own->bin);
+    return own->transmittance * (source - scattered_less_radiance(own->table, own->last, own->bin));
 }
 
 /* Derivatives of a pixel's radiance by the ray of one sample, whose path has brought `path_radiance`. */

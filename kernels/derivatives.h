@@ -36,8 +36,7 @@ typedef struct {
 /* What more droplets in a cell would send along a flight, less what they would take, sr^-1. */
 inline float cell_source(const RadianceTable *table, uint cell, float sunlight, Payload payload)
 {
-    return table->scattered[cell * DIRECTION_BINS + payload.bin]
-           + payload.sun_density * sunlight * table->sunlight[cell];
+    return scattered_less_radiance(table, cell, payload.bin) + payload.sun_density * sunlight * table->sunlight[cell];
 }
 
 inline void deposit_crossing(const __constant Scene *scene, const Ray *ray, const VoxelWalk *walk, float length,

@@ -111,21 +111,28 @@ __kernel void fill_table(FILL_TABLE_PARAMETERS)
     }
 }
 
-/* From the sums to what derivatives are made of, scattered light less radiance: a work item for every cell and bin. */
+/* From a cell's sums to what derivatives are made of, in their place, for tables take much memory. Volatile: compilers
+ * may think that numbers of two types never share a place. */
 __kernel void tabulate(TABULATE_PARAMETERS)
 {
-    const size_t place = get_global_id(0);
-    const uint cell = (uint)(place / DIRECTION_BINS), bin = (uint)(place % DIRECTION_BINS);
+    const size_t cell = get_global_id(0);
     if (cell >= count)
         return;
-    const __global Accumulator *sums = table_sums + (size_t)cell * DIRECTION_BINS;
-    float sum = 0.0f;
-    for (uint from = 0; from < DIRECTION_BINS; ++from)
-        sum += (float)sums[from] * scattering[from * DIRECTION_BINS + bin];
-    if (has_overflowed(sums[bin]))
-        atomic_inc(overflown);
+    volatile __global Accumulator *sums = table_sums + cell * DIRECTION_BINS;
+    float into[DIRECTION_BINS]; /* what photons have brought */
+    for (int bin = 0; bin < DIRECTION_BINS; ++bin) {
+        if (has_overflowed(sums[bin]))
+            atomic_inc(overflown);
+        into[bin] = (float)sums[bin];
+    }
     const uint3 parts = cells[cell_column[cell]].yzw;
     const float radiance = unit * (float)(parts.x * parts.y * parts.z);
-    source[place] = radiance * sum;
-    scattered[place] = radiance * (sum - (float)sums[bin] / solid_angle[bin]);
+    volatile __global float *diffuse = (volatile __global float *)sums;
+    for (int bin = 0; bin < DIRECTION_BINS; ++bin) {
+        float sum = 0.0f;
+        for (int from = 0; from < DIRECTION_BINS; ++from)
+            sum += into[from] * scattering[from * DIRECTION_BINS + bin];
+        diffuse[bin] = radiance * (sum - into[bin] / solid_angle[bin]);
+        diffuse[DIRECTION_BINS + bin] = radiance * sum;
+    }
 }

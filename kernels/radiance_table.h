@@ -26,18 +26,28 @@ inline int direction_bin(float3 direction)
 typedef struct {
     const __global int *column;      /* of every voxel in the table, or -1 */
     const __global uint4 *cells;     /* of every column: its first cell, and parts along x, y, z */
-    const __global float *scattered; /* [cell][bin]: source - radiance, sr^-1 */
+    const __global float *diffuse;   /* [cell][2][bin]: source - radiance, and the source, sr^-1 */
     const __global float *sunlight;  /* [cell]: direct, share of the irradiance, in units of sunlight_at */
-    const __global float *source;    /* [cell][bin]: what droplets scatter of diffuse light, sr^-1 */
 } RadianceTable;
 
-#define TABLE_ARGUMENTS column, cells, scattered, sunlight, source
+#define TABLE_ARGUMENTS column, cells, diffuse, sunlight
 inline RadianceTable make_table(const __global int *column, const __global uint4 *cells,
-                                const __global float *scattered, const __global float *sunlight,
-                                const __global float *source)
+                                const __global float *diffuse, const __global float *sunlight)
 {
-    const RadianceTable table = {column, cells, scattered, sunlight, source};
+    const RadianceTable table = {column, cells, diffuse, sunlight};
     return table;
+}
+
+/* What droplets scatter of diffuse light, sr^-1, less the radiance. */
+inline float scattered_less_radiance(const RadianceTable *table, uint cell, int bin)
+{
+    return table->diffuse[2 * cell * DIRECTION_BINS + bin];
+}
+
+/* What droplets scatter of diffuse light, sr^-1. */
+inline float diffuse_source(const RadianceTable *table, uint cell, int bin)
+{
+    return table->diffuse[(2 * cell + 1) * DIRECTION_BINS + bin];
 }
 
 /* Direct sunlight changes within a cell as exp(rate x way towards the sun), km^-1: the way out of its own voxel is

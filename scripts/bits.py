@@ -112,8 +112,6 @@ def of_table(operator: Any, rendering: Any, adjoint: np.ndarray, mask: np.ndarra
     yield "jacobian: far", digest(sums._far)
     yield "jacobian: product", digest(sums.jacobian @ np.arange(mask.sum()))
     yield "jacobian: transposed product", digest(sums.jacobian.T @ np.arange(len(operator.pixels)))
-    for name, array in sorted(table.arrays().items()):
-        yield f"table state: {name}", digest(array)
 
 
 def of_fluxes(scene: Any, extinction: np.ndarray, device: Any, radius: Any) -> Iterator[tuple[str, str]]:

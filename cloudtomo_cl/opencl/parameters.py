@@ -47,9 +47,8 @@ _REPLAY = (
 _TABLE = (
     "const __global int *column",  # of every voxel in the radiance table, or -1
     "const __global uint4 *cells",  # of every column: its first cell, and parts along x, y, z
-    "const __global float *scattered",  # [cell][bin]: source - radiance, sr^-1
+    "const __global float *diffuse",  # [cell][2][bin]: source - radiance, and the source, sr^-1
     "const __global float *sunlight",  # [cell]: direct, share of the irradiance
-    "const __global float *source",  # [cell][bin]: what droplets scatter of diffuse light, sr^-1
 )
 _STARTS = (  # of photons
     *MEDIUM,
@@ -269,15 +268,13 @@ KERNELS: dict[str, tuple[str, ...]] = {
         "__global float *weights",
     ),
     "tabulate": (
-        "const __global Accumulator *table_sums",
+        "volatile __global Accumulator *table_sums",  # what becomes of them takes their place
         "const __global float *scattering",  # [from bin][into bin]: scattered light
         "const __global float *solid_angle",  # of every bin, sr
         "const __global uint4 *cells",
         "const __global int *cell_column",
         "const uint count",
         "const float unit",  # of the sums in a whole voxel
-        "__global float *scattered",
-        "__global float *source",
         "volatile __global uint *overflown",  # number of sums
     ),
     "direct_sunlight": (

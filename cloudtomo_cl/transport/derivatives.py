@@ -8,6 +8,7 @@ import numpy as np
 
 from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.opencl.arrays import DeviceArray
+from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.opencl.fixed_point import summed
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
@@ -23,9 +24,9 @@ _PHOTONS_PER_PATH = 1
 _PATHS_PER_RAY = 4
 # In which ranks add up their sums.
 _SUMMED_PARTS = 8
-# Of an entry on the device: its sum, and the two numbers that become of it. On the host, where several ranks add up:
-# sums of a part.
-_BYTES_PER_ENTRY, _LARGEST_BYTES, _HOST_BYTES = 16, 8, 24 / _SUMMED_PARTS
+# Of an entry on the device: its sum, and then two numbers in its place. On the host, where several ranks add up: sums
+# of a part.
+_BYTES_PER_ENTRY, _HOST_BYTES = 8, 24 / _SUMMED_PARTS
 # Kernels count the table's entries with signed integers of 32 bits.
 _MOST_ENTRIES = 2**31 - 1
 
@@ -33,7 +34,7 @@ _MOST_ENTRIES = 2**31 - 1
 def table_footprint(cells: int) -> Footprint:
     """What a `RadianceTable` of so many cells takes; voxels have one each at least, and up to `most_cells`."""
     entries = cells * BINS
-    return Footprint(_BYTES_PER_ENTRY * entries, _LARGEST_BYTES * entries, _HOST_BYTES * entries)
+    return Footprint(_BYTES_PER_ENTRY * entries, _BYTES_PER_ENTRY * entries, _HOST_BYTES * entries)
 
 
 class RadianceTable:
@@ -65,18 +66,12 @@ class RadianceTable:
         device, mask = operator.device, operator.mask
         self._mask = mask
         self.columns = int(mask.sum())
-        table_footprint(self.columns).require(
-            device,
-            f"the radiance table of {self.columns} voxels",
-            'choose a smaller mask or grid, or solver.gradient = "replay"',
-        )
-        _require_countable(self.columns)
+        _require_room(self.columns, device)
         column = np.full(mask.shape, -1, np.int32)
         column[mask] = np.arange(self.columns)
         self.column = device.constant(column)
         self._voxel = device.constant(np.flatnonzero(mask).astype(np.int32))
-        self._scattered: Any = None
-        self._source: Any = None
+        self._diffuse: Any = None
         self._sunlight: Any = None
         features = (*operator.features, *FEATURES)
         self._gradient_paths = device.kernel("derivatives", "gradient_paths", features)
@@ -113,7 +108,10 @@ class RadianceTable:
     def prepare(self, rendering: Rendering) -> None:
         """Makes the table at a rendering's extinction, for kernels that take it by `buffers`.
 
-        Raises TransportError if a sum has overflowed.
+        Raises
+        ------
+        TransportError : a sum has overflowed
+        DataError, DeviceError : voxels that are deep now have more cells than there is memory for
         """
         operator, device, scene = self._operator, self._operator.device, self._operator.scene
         medium = rendering._medium
@@ -125,22 +123,21 @@ class RadianceTable:
         asymmetry = scene.cloud.phase_function.g
         divided = Cells.of(extinction[self._mask], spacing, asymmetry, within, beside, photons)
         self.cells = len(divided)
-        _require_countable(self.cells)
-        self._places = device.constant(divided.places)
         self.release()
+        operator.ranks.together(lambda: _require_room(self.cells, device))
+        self._places = device.constant(divided.places)
         sums = device.zeros((self.cells, BINS), np.int64)
         unit = operator.ranks.together(lambda: self._filled(rendering, sums))
         if operator.ranks.size > 1:
             self._add_ranks(sums)
         cell_column = device.constant(divided.voxel.astype(np.int32))
         overflown = device.zeros(1, np.uint32)
-        self._scattered = device.empty((self.cells, BINS), np.float32)
-        self._source = device.empty((self.cells, BINS), np.float32)
         device.launch(
-            self._tabulate, self.cells * BINS, table_sums=sums, scattering=self._scattering, cells=self._places,
+            self._tabulate, self.cells, table_sums=sums, scattering=self._scattering, cells=self._places,
             cell_column=cell_column, count=self.cells, unit=unit / float(np.prod(scene.grid.spacing)),
-            scattered=self._scattered, source=self._source, solid_angle=self._solid_angle, overflown=overflown,
+            solid_angle=self._solid_angle, overflown=overflown,
         )  # fmt: skip
+        self._diffuse = sums.view(np.float32)
         if overflown.get()[0]:
             raise TransportError(
                 "the radiance table has left the range of its 64-bit sums, or something that is no number was added: "
@@ -155,7 +152,7 @@ class RadianceTable:
 
     def release(self) -> None:
         """Frees the device's memory of the last table."""
-        self._scattered = self._source = self._sunlight = None
+        self._diffuse = self._sunlight = None
 
     def _add_ranks(self, sums: DeviceArray) -> None:
         """Makes the sums those of all ranks, some cells at a time: the host has no room for as much as devices."""
@@ -185,8 +182,7 @@ class RadianceTable:
     def buffers(self) -> dict[str, Any]:
         """The table as kernels take it."""
         return {
-            "column": self.column, "cells": self._places, "scattered": self._scattered, "sunlight": self._sunlight,
-            "source": self._source,
+            "column": self.column, "cells": self._places, "diffuse": self._diffuse, "sunlight": self._sunlight,
         }  # fmt: skip
 
     def _walk(self, rendering: Rendering, adjoint: np.ndarray, change: Any) -> tuple[Any, np.ndarray]:
@@ -224,12 +220,13 @@ class RadianceTable:
         return gradient, tangent * irradiance / rendering.samples
 
 
-def _require_countable(cells: int) -> None:
+def _require_room(cells: int, device: Device) -> None:
+    """DataError or DeviceError if a table of so many cells is more than memory has, or kernels count."""
+    what = f"the radiance table of {cells} voxels and parts of such"
+    advice = 'choose a smaller mask or grid, or solver type "adam" with gradient = "replay"'
     if cells * BINS > _MOST_ENTRIES:
-        raise DataError(
-            f"the radiance table of {cells} voxels and parts of such is more than kernels count: choose a smaller mask "
-            'or grid, or solver.gradient = "replay"'
-        )
+        raise DataError(f"{what} is more than kernels count: {advice}")
+    table_footprint(cells).require(device, what, advice)
 
 
 def _albedo(cloud: Cloud) -> float:

@@ -22,11 +22,10 @@ LIT = ("forward peak", "ground", "air, ground, periodic", "air outside, open", "
 
 def on_host(table, shape):
     """The reference's table, of one on a device."""
-    places, source, scattered = np.empty((shape.sum(), 4), np.uint32), *np.empty((2, table.cells, BINS), np.float32)
-    device, sunlight = table._operator.device, np.empty(table.cells, np.float32)
-    device.read(table.buffers["cells"], places)
-    for array, host in (("source", source), ("scattered", scattered), ("sunlight", sunlight)):
-        host[...] = table.buffers[array].get().reshape(host.shape)
+    places = np.empty((shape.sum(), 4), np.uint32)
+    table._operator.device.read(table.buffers["cells"], places)
+    diffuse, sunlight = (table.buffers[name].get() for name in ("diffuse", "sunlight"))
+    scattered, source = np.moveaxis(diffuse.reshape(-1, 2, BINS), 1, 0)
     return Table(shape, places[:, 1:].astype(int), source, scattered, sunlight, EDGES, AZIMUTHS)
 
 

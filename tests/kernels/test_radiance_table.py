@@ -10,6 +10,7 @@ import pytest
 from scenes import TABLE
 from scipy import stats
 
+from cloudtomo_cl import memory
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.phase import HenyeyGreenstein
@@ -17,7 +18,7 @@ from cloudtomo_cl.scene.pixels import neighbours
 from cloudtomo_cl.scene.scene import Air, Boundary, Cloud, Scene, Sun, Surface
 from cloudtomo_cl.scene.sensors import OrthographicView, RayView
 from cloudtomo_cl.transport.cells import Cells
-from cloudtomo_cl.transport.derivatives import RadianceTable
+from cloudtomo_cl.transport.derivatives import RadianceTable, table_footprint
 from cloudtomo_cl.transport.directions import AZIMUTHS, BINS, EDGES, scattering_matrix
 from cloudtomo_cl.transport.flux import FluxOperator
 from cloudtomo_cl.transport.radiance import RadianceOperator
@@ -125,6 +126,20 @@ def test_isotropic_light_scatters_into_isotropic_light(phase_function):
 def test_a_field_needs_a_mask(device):
     with pytest.raises(DataError, match="mask"):
         RadianceTable(RadianceOperator(SCENES["overhead sun"], VIEWS, device))
+
+
+def test_cells_without_memory_are_refused_before_they_are_made(device, monkeypatch):
+    """Voxels have a cell each where the table is asked for; a deep cloud's have more."""
+    operator = RadianceOperator(SCENES["overhead sun"], VIEWS, device, mask=np.ones(GRID.shape, bool))
+    table = RadianceTable(operator)
+    rendering = operator.render(4 * extinction(), 2, 1, store_paths=True)
+    table.prepare(rendering)
+    assert table.cells > table.columns
+    there = table_footprint((table.columns + table.cells) // 2)
+    monkeypatch.setattr(memory, "free_memory", lambda: there.host + there.device * device.shares_memory)
+    RadianceTable(operator)
+    with pytest.raises(DataError, match=f"{table.cells} voxels and parts of such needs about"):
+        table.prepare(rendering)
 
 
 def test_neighbours_are_the_pixels_that_touch():

@@ -62,7 +62,7 @@ def derivatives(device):
     adjoint = random.normal(size=(len(operator.pixels), 2))
     for turn in range(2):
         yield f"table gradient {turn}", digest(*table.gradient(rendering, adjoint, change))
-    yield "table", digest(table._scattered, table._sunlight)
+    yield "table", digest(table._diffuse, table._sunlight)
     sums = JacobianSums(operator)
     sums.add(rendering, 1.0)
     sums.add(operator.render(values / 2, 4, seed=1, stream=2, store_paths=True), 0.5)
