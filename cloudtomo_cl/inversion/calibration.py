@@ -70,6 +70,10 @@ class Calibration:
         basis = self._basis(modelled)
         return residual - np.sum(basis * self._fitted(basis, residual)[self.view], axis=1)
 
+    def unexplained(self, residual: np.ndarray, modelled: np.ndarray) -> float:
+        """The mean of w r Calibration(r), which is n where noise is all that is left; arguments as of a call."""
+        return float(np.mean(self._weights * (residual * self(residual, modelled))))
+
     def motions(self, residual: np.ndarray, modelled: np.ndarray) -> np.ndarray:
         """Those that explain residuals best, shape (views, 3); arguments as of a call."""
         if self._motions.shape[1] == 0:

@@ -99,6 +99,17 @@ def test_an_image_of_moved_views_is_explained_by_its_motions(random):
     np.testing.assert_allclose(calibration(residual, modelled), 0.0, atol=1e-7)
 
 
+def test_what_motions_explain_is_no_misfit(random):
+    """However large it is without them: it costs no more than those that made it, in the unit n."""
+    *_, modelled, motions, errors, _ = with_motions(random)
+    calibration = Calibration(WEIGHTS, VIEW, (0.0,) * 4, UNIT, motions, errors)
+    moves = errors * random.normal(size=(4, 3))
+    residual = -calibration.change(moves)
+    of_motions = np.sum(np.square(moves[:2] / errors[:2])) + np.sum(np.square(moves[3] / errors[3]))
+    assert np.mean(WEIGHTS * residual**2) > 5 * UNIT * of_motions / PIXELS
+    assert 0 < calibration.unexplained(residual, modelled) <= UNIT * of_motions / PIXELS
+
+
 def test_in_a_larger_unit_motions_explain_less(random):
     """Their own cost then counts more: with one that nothing reaches, they stand still."""
     residual, modelled, *_, calibration = with_motions(random)

@@ -207,15 +207,16 @@ class GaussNewton:
         curvature = jacobian.curvature(weights)
         check_gradient(curvature, problem, stream)
         misfit = _misfit(problem, state)
+        unexplained = problem.active.calibration.unexplained(misfit, state.image)
         # While the cloud is wrong, gains and motions of the views must not explain what it does not.
-        calibration = problem.active.calibration.in_unit(max(problem.active.unit, float(np.mean(weights * misfit**2))))
+        calibration = problem.active.calibration.in_unit(max(problem.active.unit, unexplained))
         damping = self.damping * max(0.5 ** (state.iterations - 1), 0.1)
         device = problem.operator.device
         force = Force(weights, calibration, state.image, device)
         data = DataTerm(jacobian, force, misfit, state.extinction, damping * curvature)
         units = problem.units(state.modelled_noise(problem))
 
-        fits = float(np.mean(weights * misfit**2)) <= _FITTING * units.both
+        fits = unexplained <= _FITTING * units.both
         state = replace(state, fitted=state.fitted + fits)
         anneals = fits and getattr(problem.prior, "chooses", False)
         minimum, iteration = (annealed, None) if anneals else (rescaled, state.iterations - 1)
