@@ -16,7 +16,7 @@ from rich.console import Console
 
 from cloudtomo_cl.commands import ranks, stopping
 from cloudtomo_cl.commands.modelled import write_modelled
-from cloudtomo_cl.commands.progress import ReconstructionProgress, duration
+from cloudtomo_cl.commands.progress import ReconstructionProgress, duration, with_error
 from cloudtomo_cl.commands.provenance import describe_device, digest, source, versions
 from cloudtomo_cl.commands.reporting import make_report
 from cloudtomo_cl.commands.run_folder import RunFolder
@@ -303,6 +303,7 @@ def _show_result(job: Job, outcome: Outcome) -> None:
     last = result.history[-1]
     took = duration(last.seconds)
     job.console.print(f"{last.paths:.3g} paths in {took} on {job.device.name}: {outcome.state}", soft_wrap=True)
+    job.say(_fit(last))
     if result.no_standard_error and job.settings.run.uncertainty:
         job.say(f"no standard error of the extinction: {result.no_standard_error}")
     if not result.extinction.any():
@@ -346,6 +347,21 @@ def _write_result(job: Job, outcome: Outcome) -> None:
         replace(job.measurements, views=result.views),
         settings,
         result.standard_error,
+    )
+
+
+def _fit(last: IterationRecord) -> str:
+    """How well the images are fitted, and what may be wrong if they are not."""
+    cost = f"cost {with_error(last.cost, last.cost_standard_error)}"
+    if last.expected_cost is None:
+        return cost
+    text = f"{cost}, {last.expected_cost:.3g} expected by the images' noise alone"
+    if last.is_fitted:
+        return text
+    return (
+        f"{text}: they are not fitted yet, or something is not as told. If more iterations (--resume) do not help, "
+        "look at the views' differences in the report: sun, surface, cameras (pointing_error, calibration_error) or "
+        "standard errors may be wrong"
     )
 
 

@@ -77,6 +77,11 @@ class ActivePixels:
         return 2 * noise_of(self.variance, self.weights) / len(self)
 
     @cached_property
+    def expected_cost(self) -> float | None:
+        """What the measured images' noise alone makes the true cloud's data term, on average; None if it is unknown."""
+        return noise_of(self.variance, self.weights) if self.standard_error.any() else None
+
+    @cached_property
     def calibration(self) -> Calibration:
         """What the views' calibration leaves open."""
         view = self.listed[:, 0]

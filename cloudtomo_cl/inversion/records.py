@@ -26,6 +26,7 @@ class IterationRecord:
     cost, cost_standard_error : data term over the stage's pixels, without dimension
     prior : its value times the stage's weight
     epsilon, delta : of the estimate on the finest grid, if the truth is known
+    expected_cost : what noise of the measured images alone makes the true cloud's cost, on average, if it is known
     """
 
     stage: int
@@ -39,6 +40,14 @@ class IterationRecord:
     prior: float
     epsilon: float | None = None
     delta: float | None = None
+    expected_cost: float | None = None
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether the images' noise explains the cost, nearly; also where it is not known."""
+        if self.expected_cost is None:
+            return True
+        return self.cost - _SIGNIFICANCE * self.cost_standard_error <= _FITTED * self.expected_cost
 
 
 # A history's columns: unit, and what they are.
@@ -54,7 +63,10 @@ COLUMNS = {
     "prior": ("1", "value of the prior, times the stage's weight"),
     "epsilon": ("1", "sum of absolute errors over the sum of the true extinction"),
     "delta": ("1", "relative error of the sum of the extinction"),
+    "expected_cost": ("1", "cost of the true cloud by noise of the measured images alone, on average"),
 }
+# A cost of no more than so many times the expected one, within so many standard errors, counts as explained by noise.
+_FITTED, _SIGNIFICANCE = 3.0, 2.0
 # Lines of a history that are shown at its beginning and its end.
 _SHOWN = 5
 
@@ -78,6 +90,7 @@ class History(list[IterationRecord]):
                 f"{record.paths:.3g}",
                 f"{record.cost:.4g}",
                 f"{record.cost_standard_error:.1g}",
+                "" if record.expected_cost is None else f"{record.expected_cost:.3g}",
                 "" if record.epsilon is None else f"{record.epsilon:.3f}",
                 "" if record.delta is None else f"{record.delta:+.1%}",
             ]
@@ -95,7 +108,7 @@ class History(list[IterationRecord]):
         return table(_COLUMNS, self._rows())
 
 
-_COLUMNS = ("stage", "iteration", "time (s)", "paths", "cost", "± s.e.", "eps", "delta")
+_COLUMNS = ("stage", "iteration", "time (s)", "paths", "cost", "± s.e.", "by noise", "eps", "delta")
 
 
 @dataclass(frozen=True)

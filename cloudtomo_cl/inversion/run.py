@@ -137,6 +137,7 @@ class KeepHistory:
             cost=progress.cost,
             cost_standard_error=progress.cost_standard_error,
             prior=progress.prior,
+            expected_cost=problem.active.expected_cost,
             **errors,
         )
         run.history.append(record)

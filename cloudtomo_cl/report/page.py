@@ -37,7 +37,8 @@ _CAPTIONS = {
     "numbered as the views, not their distances.",
     "maps": "Optical depth from above, and the largest extinction along y and along x.",
     "scatter": "Every voxel that holds cloud in one of the two; the line is perfect agreement.",
-    "history": "The cost with its noise, and the error if the truth is known. Each stage has images of its own (other "
+    "history": "The cost with its noise, what noise of the images alone would make of it, if that is known, and the "
+    "error if the truth is known. Each stage has images of its own (other "
     "pixels, other noise), so the costs of two stages are not compared, and no line joins them.",
     "images": "The measured images, all on one grey scale, with the zenith angle and azimuth (from east towards north) "
     "of the direction from the cloud to the sensor; arrows show where north and the sun are.",

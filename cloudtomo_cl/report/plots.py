@@ -178,7 +178,7 @@ def plot_slices(figure: Figure, grid: Grid, recovered: np.ndarray, truth: np.nda
 
 
 def plot_history(axes: Axes, history: Mapping[str, np.ndarray]) -> None:
-    """Cost with its noise, and the error if known, against time.
+    """Cost with its noise and what the images' noise explains of it, and the error if known, against time.
 
     Costs of different stages are costs of different images: a line for each stage, none between them.
 
@@ -194,11 +194,14 @@ def plot_history(axes: Axes, history: Mapping[str, np.ndarray]) -> None:
     elif (noise > 0).any():
         axes.set_yscale("symlog", linthresh=float(np.median(noise[noise > 0])))
     stages = np.split(np.arange(len(seconds)), np.flatnonzero(np.diff(history["stage"])) + 1)
-    lines = []
+    lines, expected = [], history.get("expected_cost", np.full_like(cost, np.nan))  # which older runs do not have
     for stage in stages:
         # A stage of one iteration is a point.
         lines = axes.plot(seconds[stage], cost[stage], ".-", color="tab:blue", linewidth=1, markersize=3,
-                          label="cost of a stage's images ± its standard error")  # fmt: skip
+                          label="cost of a stage's images ± its error")  # fmt: skip
+        if np.isfinite(expected[stage]).all():
+            lines += axes.plot(seconds[stage], expected[stage], color="tab:green", linewidth=1, linestyle="--",
+                               label="expected, by their noise alone")  # fmt: skip
     limits = axes.get_ylim()
     for number, stage in enumerate(stages):
         time, middle, error = seconds[stage], cost[stage], noise[stage]

@@ -8,6 +8,8 @@ more than vectors.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from cloudtomo_cl.transport.jacobian import NearField
 
 
-# In which the far field changes hands.
+# In which values change hands: what is on its way is small beside what stays.
 _PARTS = 8
 # Sums over blocks are made in parts of so many, and transposed ones for so many columns at a time (products.cl).
 FAR_PART, COLUMNS_AT_ONCE = 128, 8
@@ -104,7 +106,8 @@ class _Exchanged:
         # In the order of pixels and slots, for every rank: so all have it.
         owner = self.shares.owner[columns]
         self._order = np.argsort(owner, kind="stable").astype(np.uint32)
-        self._cuts = np.cumsum(np.bincount(owner, minlength=self._ranks.size))[:-1]
+        given = np.bincount(owner, minlength=self._ranks.size)
+        self._given, self._taken = (_cuts(counts) for counts in (given, self._ranks.exchange(given[:, None])))
         rows = np.repeat(structure.shares.own.astype(np.int32), np.diff(row_start))
         column, row = self._exchanged(columns), self._exchanged(rows)
         del owner, rows
@@ -119,7 +122,12 @@ class _Exchanged:
 
     def _exchanged(self, values: np.ndarray) -> np.ndarray:
         """What belongs to the entries of this rank's columns, from what belongs to those of its rows."""
-        return np.concatenate(self._ranks.exchange(np.split(values[self._order], self._cuts)))
+        result = np.empty(self._taken[-1, -1], values.dtype)
+        for part in range(_PARTS):
+            given = [values[self._order[cuts[part] : cuts[part + 1]]] for cuts in self._given]
+            for cuts, taken in zip(self._taken, self._ranks.exchange(given)):
+                result[cuts[part] : cuts[part + 1]] = taken
+        return result
 
     def arrays(self, near: DeviceArray, far: DeviceArray) -> tuple[DeviceArray, DeviceArray]:
         shape = (self._pixel_blocks, max(len(self.blocks), 1))
@@ -127,12 +135,12 @@ class _Exchanged:
 
     def refresh(self, near: DeviceArray, far: DeviceArray, arrays: tuple[DeviceArray, DeviceArray]) -> None:
         values = self._exchanged(self._device.copied(near)[: len(self._order)])
-        if len(values):
-            self._device.write(arrays[0].data, values[self._place])
+        for first, last in pairwise(_cuts([len(values)])[0]):
+            if last > first:
+                self._device.write(arrays[0].data, values[self._place[first:last]], int(first) * values.itemsize)
         del values
         own = self._device.copied(far)
         whole = np.empty((self._pixel_blocks, len(self.blocks)), np.float32)
-        # So many rows at a time that what is on its way is small beside what stays.
         at_once = max(max(map(len, self._rows_of)) // _PARTS, 1)
         for first in range(0, max(map(len, self._rows_of)), at_once):
             rows_of = [rows[first : first + at_once] for rows in self._rows_of]
@@ -142,3 +150,13 @@ class _Exchanged:
                 whole[rows] = part.reshape(len(rows), len(self.blocks))
         if len(self.blocks):
             self._device.write(arrays[1].data, whole)
+
+
+def _cuts(counts: Sequence[Any]) -> np.ndarray:
+    """Where parts begin and end of things that lie one kind after the other, shape (kinds, parts + 1).
+
+    counts : of the kinds. Who sends and who takes cuts a kind in the same places, for both know its count
+    """
+    numbers = np.asarray(counts, np.int64).reshape(-1)
+    first = np.cumsum(numbers) - numbers
+    return first[:, None] + numbers[:, None] * np.arange(_PARTS + 1) // _PARTS

@@ -285,3 +285,18 @@ def test_old_names_are_answered_with_the_new(scene, measurements, device):
         _ = ct.Optimizer
     with pytest.raises(TypeError, match="unexpected keyword argument 'opt'"):
         recover(scene, measurements, device, opt=None)
+
+
+def test_the_true_clouds_cost_is_the_expected_one(scene, truth, measurements, device, random):
+    """The cost of images with Gaussian noise of the stated errors, 30 draws; 4 standard errors, by their scatter."""
+    operator = ct.RadianceOperator(scene, measurements.views, device)
+    images = operator.images(operator.render(truth, 4096, seed=7).mean)
+    errors = tuple(0.3 * np.sqrt(image * image.max()) + 0.01 * image.max() for image in images)
+    costs = []
+    for draw in range(30):
+        noisy = tuple(image + error * random.standard_normal(image.shape) for image, error in zip(images, errors))
+        seen = replace(measurements, images=noisy, standard_errors=errors)
+        problem = ct.Problem.of(scene, seen, mask=truth > 0, device=device, prior_weight=0.0)
+        cost, _ = problem.value_and_gradient(truth[problem.mask], samples=64, seed=draw)
+        costs.append(cost / problem.active.expected_cost)
+    assert abs(np.mean(costs) - 1) < 4 * np.std(costs) / np.sqrt(len(costs))

@@ -113,6 +113,16 @@ def test_a_history_is_a_table_and_gives_its_columns(result):
     assert np.isnan(unknown.columns["epsilon"]).all() and "None" not in repr(unknown)
 
 
+@pytest.mark.parametrize(
+    ("cost", "error", "expected", "fitted"),
+    [(1.2, 0.1, 1.0, True), (9.0, 0.1, 1.0, False), (9.0, 4.0, 1.0, True), (9.0, 0.1, None, True)],
+)
+def test_a_cost_is_fitted_that_noise_explains(cost, error, expected, fitted):
+    """Within its own error; nothing is said where the images' noise is not known."""
+    record = ct.IterationRecord(0, 1, 0, 1, 1.0, 1, cost, error, 0.0, expected_cost=expected)
+    assert record.is_fitted == fitted
+
+
 class Displayed:
     """Stands in for what IPython's display gives."""
 

@@ -191,3 +191,16 @@ def test_phase_function_is_drawn_over_its_angle():
     # Of Henyey and Greenstein at 180 degrees: (1 - g) / (4 pi (1 + g)^2).
     assert (angle[-1], density[-1]) == pytest.approx((180.0, 0.5 / (4 * np.pi * 1.5**2)))
     assert axes.get_yscale() == "log"
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_the_cost_that_noise_makes_is_drawn_where_it_is_known(history, known):
+    """A level for each stage; runs of older versions have none."""
+    if known:
+        history["expected_cost"] = np.array([0.3, 0.3, 0.3, 0.02, 0.02, 0.02])
+    axes = new_figure(4, 3).subplots()
+    plot_history(axes, history)
+    levels = [line.get_ydata() for line in axes.get_lines() if line.get_linestyle() == "--"]
+    assert [list(level) for level in levels] == ([[0.3] * 3, [0.02] * 3] if known else [])
+    named = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert ("expected, by their noise alone" in named) == known
