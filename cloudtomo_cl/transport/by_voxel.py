@@ -8,7 +8,6 @@ more than vectors.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -107,7 +106,8 @@ class _Exchanged:
         owner = self.shares.owner[columns]
         self._order = np.argsort(owner, kind="stable").astype(np.uint32)
         given = np.bincount(owner, minlength=self._ranks.size)
-        self._given, self._taken = (_cuts(counts) for counts in (given, self._ranks.exchange(given[:, None])))
+        taken = np.concatenate(self._ranks.exchange(list(given[:, None])))
+        self._given, self._taken = _cuts(given), _cuts(taken)
         rows = np.repeat(structure.shares.own.astype(np.int32), np.diff(row_start))
         column, row = self._exchanged(columns), self._exchanged(rows)
         del owner, rows
@@ -135,7 +135,7 @@ class _Exchanged:
 
     def refresh(self, near: DeviceArray, far: DeviceArray, arrays: tuple[DeviceArray, DeviceArray]) -> None:
         values = self._exchanged(self._device.copied(near)[: len(self._order)])
-        for first, last in pairwise(_cuts([len(values)])[0]):
+        for first, last in pairwise(_cuts(np.array([len(values)]))[0]):
             if last > first:
                 self._device.write(arrays[0].data, values[self._place[first:last]], int(first) * values.itemsize)
         del values
@@ -152,11 +152,10 @@ class _Exchanged:
             self._device.write(arrays[1].data, whole)
 
 
-def _cuts(counts: Sequence[Any]) -> np.ndarray:
+def _cuts(counts: np.ndarray) -> np.ndarray:
     """Where parts begin and end of things that lie one kind after the other, shape (kinds, parts + 1).
 
     counts : of the kinds. Who sends and who takes cuts a kind in the same places, for both know its count
     """
-    numbers = np.asarray(counts, np.int64).reshape(-1)
-    first = np.cumsum(numbers) - numbers
-    return first[:, None] + numbers[:, None] * np.arange(_PARTS + 1) // _PARTS
+    first = np.cumsum(counts) - counts
+    return first[:, None] + counts[:, None] * np.arange(_PARTS + 1) // _PARTS
