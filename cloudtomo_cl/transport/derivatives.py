@@ -23,7 +23,7 @@ _PHOTONS_PER_PATH = 1
 # Of them for each ray along which the derivatives of first flights are made.
 _PATHS_PER_RAY = 4
 # In which ranks add up their sums.
-_SUMMED_PARTS = 8
+_SUMMED_PARTS = 32
 # Of an entry on the device: its sum, and then two numbers in its place. On the host, where several ranks add up: sums
 # of a part.
 _BYTES_PER_ENTRY, _HOST_BYTES = 8, 24 / _SUMMED_PARTS
