@@ -186,8 +186,13 @@ def plot_history(axes: Axes, history: Mapping[str, np.ndarray]) -> None:
     ----------
     history : columns as `RunFolder.read_history` gives them
     """
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
     seconds, cost, noise = (history[name] for name in ("seconds", "cost", "cost_standard_error"))
     axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     # The unbiased cost may fall below zero by its noise: then linear within the noise.
     if (cost > 0).all():
         axes.set_yscale("log")
