@@ -333,7 +333,7 @@ def predicted(size: Size, measured: dict[str, Any], ranks: int, given: Assumptio
         "vectors": several * vectors / given.network + messages * (2 * given.copy + hops * given.latency),
         "values": several * 8 * entries / ranks * (1 / given.network + 1 / given.bus),
     }
-    gb = ((20 if ranks == 1 else 24) * entries / ranks + 2 * table + stencil / ranks + 4 * paths / ranks) / 1e9
+    gb = ((20 if ranks == 1 else 24) * entries / ranks + table + stencil / ranks + 4 * paths / ranks) / 1e9
     return seconds | {"GB": gb, "sent GB": (table + vectors / ranks + 4 * entries / ranks) / 1e9 * (ranks > 1)}
 
 

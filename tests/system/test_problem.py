@@ -300,3 +300,22 @@ def test_the_true_clouds_cost_is_the_expected_one(scene, truth, measurements, de
         cost, _ = problem.value_and_gradient(truth[problem.mask], samples=64, seed=draw)
         costs.append(cost / problem.active.expected_cost)
     assert abs(np.mean(costs) - 1) < 4 * np.std(costs) / np.sqrt(len(costs))
+
+
+def test_derivatives_are_those_of_the_views_as_they_were_found(device):
+    """Near the lines of sight as they are, four voxels from where they were told: the same bits as if told right."""
+    grid = ct.Grid(shape=(12, 12, 6), spacing=(0.05, 0.05, 0.05))
+    scene, truth = ct.Scene(grid=grid, sun=ct.Sun(zenith=30.0)), ct.cumulus(grid, seed=3, peak=20.0)
+    views = tuple(ct.OrthographicView(zenith=zenith, azimuth=60, width=0.1, pixels=(4, 4)) for zenith in (0, 30))
+    operator = ct.RadianceOperator(scene, views, device)
+    seen = ct.Measurements.rendered(operator, operator.render(truth, 64, seed=1))
+    told = replace(seen, position_errors=(0.2,) * 2)
+    motions = np.array([[0.2, 0.0, 0.0], [-0.15, 0.1, 0.0]])
+    products = []
+    for measurements, found in ((told, motions), (told.moved(motions, grid), np.zeros_like(motions))):
+        problem = ct.Problem.of(scene, measurements, mask=np.ones(grid.shape, bool), device=device, samples=64)
+        problem, solver = replace(problem, motions=found), ct.GaussNewton(inner_iterations=1)
+        state = solver.init(problem, truth.ravel() + 0.1)
+        state, _ = solver.step(problem, state, seed=3, stream=1)
+        products.append(state.derivatives.jacobian @ np.arange(truth.size))
+    np.testing.assert_array_equal(*products)
