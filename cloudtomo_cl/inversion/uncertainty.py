@@ -11,6 +11,8 @@ DRAWS = 24
 # The draws' deviation times this is a recovery's standard error, for draws know nothing of the prior's bias, nor of the
 # derivatives': with it about 68 % of the voxels of whole recoveries lie within it (docs/measurements/uncertainty.md).
 WIDENED = 2.0
+# Optical depth of a voxel, along its mean chord, beyond which errors outgrow draws: light hardly tells it from deeper.
+_HARDLY_TOLD = 3.0
 # Least curvature in scaling, of the mean one: voxels that no pixel feels.
 LEAST_CURVATURE = 1e-3
 
@@ -41,3 +43,18 @@ def standard_errors(model: NoisyModel, draws: int, seed: int) -> np.ndarray:
         force = model.slope_of_noise(random) + model.prior.perturbation(random, model.units)
         squares += (model.minimum(gradient - force) - without) ** 2
     return np.sqrt(squares / draws)
+
+
+def widening(misfit: float, depth: np.ndarray) -> np.ndarray:
+    """What draws' deviations are multiplied with to be standard errors of a recovery, shape (voxels,).
+
+    Draws are of a linear model that fits. Where the images are not fitted to their noise, errors are larger in
+    proportion to the misfit's root (Birge 1932, "The calculation of errors by the method of least squares"); and where
+    voxels are deep, images are no linear function of them (docs/measurements/uncertainty.md).
+
+    Parameters
+    ----------
+    misfit : mean square of the images' residuals, in that of noise alone
+    depth : optical, of voxels along their mean chord, shape (voxels,)
+    """
+    return WIDENED * np.sqrt(max(misfit, 1.0) * (1 + np.square(depth / _HARDLY_TOLD)))

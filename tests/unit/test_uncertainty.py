@@ -8,7 +8,7 @@ from cloudtomo_cl.inversion.bound_prior import NoiseUnits
 from cloudtomo_cl.inversion.noisy_model import NoisyModel
 from cloudtomo_cl.inversion.priors import roughness
 from cloudtomo_cl.inversion.terms import stiffness_of
-from cloudtomo_cl.inversion.uncertainty import standard_errors
+from cloudtomo_cl.inversion.uncertainty import WIDENED, standard_errors, widening
 from cloudtomo_cl.reference.prior import smoothness_matrix
 
 SHAPE = (4, 3, 5)
@@ -116,3 +116,11 @@ def test_voxels_pressed_against_zero_have_small_errors(problem, found):
     pressed = np.arange(problem[0].sum()) % 2 == 0
     errors = found(1.0, 50, estimate=np.where(pressed, 0.0, FAR), gradient=np.where(pressed, 1e3, 0.0))
     assert (errors[pressed] == 0).all() and (errors[~pressed] > 0).all()
+
+
+def test_errors_are_wider_where_images_do_not_fit_and_voxels_are_deep():
+    """By the root of the misfit, where noise does not explain it; in a deep voxel in proportion to its depth."""
+    thin, deep = np.zeros(3), np.array([30.0, 60.0])
+    np.testing.assert_allclose(widening(0.5, thin), WIDENED)
+    np.testing.assert_allclose(widening(4.0, thin), 2 * WIDENED)
+    np.testing.assert_allclose(widening(1.0, deep)[1] / widening(1.0, deep)[0], 2.0, rtol=0.01)

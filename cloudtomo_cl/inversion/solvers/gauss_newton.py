@@ -26,7 +26,7 @@ from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
 from cloudtomo_cl.inversion.solvers.state import not_saved, of_any_length
 from cloudtomo_cl.inversion.terms import Around, stiffness_of
-from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, WIDENED, standard_errors
+from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, standard_errors, widening
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import Count, Grid
@@ -64,6 +64,7 @@ class GaussNewtonState:
     lag : `noise_of` the errors of the last step's prediction
     iterations : done so far
     fitted : of these, how many began where the model fitted the images
+    misfit : mean square of the images' residuals where the last one began, in that of noise alone
     returned : share of the prior's pull on the mass that steps take back (`mass`)
     motions : of the views, shape (views, 3), as the next iteration renders them (`scene.pointing`)
     streams, walked, turned : of the derivatives: random numbers, shape (iterations,), extinctions, (iterations,
@@ -77,6 +78,7 @@ class GaussNewtonState:
     lag: float
     iterations: int
     fitted: int
+    misfit: float
     returned: float
     motions: np.ndarray
     streams: np.ndarray = of_any_length()
@@ -147,7 +149,7 @@ class GaussNewton:
         if problem.motions is not None:
             motions = problem.motions
         streams, turned = np.zeros(0, np.int64), np.zeros((0, *motions.shape))
-        return GaussNewtonState(start, nothing, nothing, 0.0, 0, 0, 0.0, motions, streams, none, turned)
+        return GaussNewtonState(start, nothing, nothing, 0.0, 0, 0, 0.0, 0.0, motions, streams, none, turned)
 
     @with_one_blas_thread
     def step(
@@ -217,7 +219,7 @@ class GaussNewton:
         units = problem.units(state.modelled_noise(problem))
 
         fits = unexplained <= _FITTING * units.both
-        state = replace(state, fitted=state.fitted + fits)
+        state = replace(state, fitted=state.fitted + fits, misfit=unexplained / units.both)
         anneals = fits and getattr(problem.prior, "chooses", False)
         minimum, iteration = (annealed, None) if anneals else (rescaled, state.iterations - 1)
         stiffness = curvature * (1 + damping) + LEAST_CURVATURE * curvature.mean()
@@ -246,7 +248,8 @@ class GaussNewton:
         jacobian = _derivatives_of(self._sampled(problem), state, seed).jacobian
         prior = problem.prior.frozen(state.extinction)
         give_back(prior, state.extinction, state.returned)
-        return WIDENED * standard_errors(_noisy_model(problem, state, jacobian, prior), draws, seed)
+        wider = widening(state.misfit, state.extinction * problem.grid.mean_chord)
+        return wider * standard_errors(_noisy_model(problem, state, jacobian, prior), draws, seed)
 
 
 def _with_more_paths(
