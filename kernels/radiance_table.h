@@ -24,15 +24,15 @@ inline int direction_bin(float3 direction)
 }
 
 typedef struct {
-    const __global int *column;      /* of every voxel in the table, or -1 */
-    const __global uint4 *cells;     /* of every column: its first cell, and parts along x, y, z */
-    const __global float *diffuse;   /* [cell][2][bin]: source - radiance, and the source, sr^-1 */
-    const __global float *sunlight;  /* [cell]: direct, share of the irradiance, in units of sunlight_at */
+    const __global int *column;     /* of every voxel in the table, or -1 */
+    const __global uint4 *cells;    /* of every column: its first cell, and parts along x, y, z */
+    const __global float *diffuse;  /* [cell][2][bin]: source - radiance, and the source, sr^-1 */
+    const __global float *sunlight; /* [cell]: direct, share of the irradiance, in units of sunlight_at */
 } RadianceTable;
 
 #define TABLE_ARGUMENTS column, cells, diffuse, sunlight
-inline RadianceTable make_table(const __global int *column, const __global uint4 *cells,
-                                const __global float *diffuse, const __global float *sunlight)
+inline RadianceTable make_table(const __global int *column, const __global uint4 *cells, const __global float *diffuse,
+                                const __global float *sunlight)
 {
     const RadianceTable table = {column, cells, diffuse, sunlight};
     return table;
