@@ -27,7 +27,7 @@ from math import cos, radians, sin
 from pathlib import Path
 
 from paper_method import METHODS, MOST_ITERATIONS, grids_of_stages, paper_settings, share_of_pixels
-from source_figures import draw
+from source_figures import UNSEEN_FILES, draw
 
 
 @dataclass(frozen=True)
@@ -107,6 +107,13 @@ position = {position}
 target = {[scene.centre, scene.centre, scene.target_height]}
 pixels = {[pixels, pixels]}
 """
+
+
+def unseen_steps(folder: Path, samples: int, seeds: tuple[int, int]) -> list[tuple[Path, list[object]]]:
+    """The view that is not used, of a folder's unseen.toml, twice: how images differ is told by independent pairs."""
+    files = zip(UNSEEN_FILES, seeds)
+    command = ["render", folder / "unseen.toml", "--samples", samples]
+    return [(folder / name, [*command, "--seed", seed, "--output", folder / name]) for name, seed in files]
 
 
 def stage_settings(scene: SourceScene, shape: tuple[int, int, int]) -> str:
@@ -196,9 +203,8 @@ def main() -> int:
         render = ["render", output / "scene.toml", "--samples", samples, "--seed", 1]
         steps.append((images, [*render, "--output", images]))
     (output / "unseen.toml").write_text(scene_settings(scene, Path("cloud.nc"), unseen_view(scene, pixels)))
-    unseen = ["--samples", 4096 // reduction**2, "--seed", 3]
-    true_view = output / "unseen.nc"
-    steps.append((true_view, ["render", output / "unseen.toml", *unseen, "--output", true_view]))
+    unseen_samples = 4096 // reduction**2
+    steps += unseen_steps(output, unseen_samples, (3, 5))
 
     tables = f'[measurements]\nfile = "{os.path.relpath(images, output)}"\n[truth]\nfile = "cloud.nc"\n'
     (output / "run.toml").write_text(tables + run_settings(arguments, scene, shape))  # type: ignore[arg-type]
@@ -211,9 +217,7 @@ def main() -> int:
             steps.append((folder / "modelled.nc", run))
             # Relative to the settings file: the same views of the recovered cloud.
             recovered = folder / "unseen.toml"
-            steps.append(
-                (folder / "unseen.nc", ["render", recovered, *unseen[:-1], 4, "--output", folder / "unseen.nc"])
-            )
+            steps += unseen_steps(folder, unseen_samples, (4, 6))
             folder.mkdir(exist_ok=True)
             recovered.write_text(scene_settings(scene, Path("reconstruction.nc"), unseen_view(scene, pixels)))
     for result, command in steps:
