@@ -257,9 +257,9 @@ def draw(output: Path) -> None:
     if len({run.prior for run in runs}) > 1:
         figures["figure5-priors"] = new_figure(10, 4)
         plot_priors(figures["figure5-priors"], runs)
-    if (first.folder / "unseen.nc").is_file():
+    if (first.folder / UNSEEN_FILES[0]).is_file():
         figures["figure6-unseen"] = new_figure(10, 4.4)
-        views = (read_measurements(folder / "unseen.nc") for folder in (output, first.folder))
+        views = (read_measurements(folder / UNSEEN_FILES[0]) for folder in (output, first.folder))
         plot_unseen(figures["figure6-unseen"], *views)
     figures["slices"] = new_figure(8, 10)
     plot_slices(figures["slices"], grid, first.extinction, truth)

@@ -303,7 +303,7 @@ def _show_result(job: Job, outcome: Outcome) -> None:
     last = result.history[-1]
     took = duration(last.seconds)
     job.console.print(f"{last.paths:.3g} paths in {took} on {job.device.name}: {outcome.state}", soft_wrap=True)
-    job.say(_fit(last))
+    job.say(fit_text(last))
     if result.no_standard_error and job.settings.run.uncertainty:
         job.say(f"no standard error of the extinction: {result.no_standard_error}")
     if not result.extinction.any():
@@ -350,7 +350,7 @@ def _write_result(job: Job, outcome: Outcome) -> None:
     )
 
 
-def _fit(last: IterationRecord) -> str:
+def fit_text(last: IterationRecord) -> str:
     """How well the images are fitted, and what may be wrong if they are not."""
     cost = f"cost {with_error(last.cost, last.cost_standard_error)}"
     if last.expected_cost is None:
@@ -359,9 +359,9 @@ def _fit(last: IterationRecord) -> str:
     if last.is_fitted:
         return text
     return (
-        f"{text}: they are not fitted yet, or something is not as told. If more iterations (--resume) do not help, "
-        "look at the views' differences in the report: sun, surface, cameras (pointing_error, calibration_error) or "
-        "standard errors may be wrong"
+        f"{text}: the images are not fitted yet, or something is not as told. If more iterations (--resume) do not "
+        "help, look at the views' differences in the report: sun, surface, cameras (pointing_error, "
+        "calibration_error) or standard errors may be wrong"
     )
 
 

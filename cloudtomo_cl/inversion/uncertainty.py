@@ -8,8 +8,8 @@ from cloudtomo_cl.inversion.noisy_model import NoisyModel
 
 # Of a standard error where nobody says otherwise, in Python as on the command line.
 DRAWS = 24
-# The draws' deviation times this is a recovery's standard error, for draws know nothing of the prior's bias, nor of the
-# derivatives': with it about 68 % of the voxels of whole recoveries lie within it (docs/measurements/uncertainty.md).
+# The draws' deviation times this is a recovery's standard error where images are fitted and voxels thin (`widening`),
+# for draws know nothing of the prior's bias, nor of the derivatives' (docs/measurements/uncertainty.md).
 WIDENED = 2.0
 # Optical depth of a voxel, along its mean chord, beyond which errors outgrow draws: light hardly tells it from deeper.
 _HARDLY_TOLD = 3.0

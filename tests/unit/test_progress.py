@@ -1,13 +1,15 @@
-"""What the live bar of a recovery says."""
+"""What the live bar of a recovery says, and its last lines."""
 
 import io
 import logging
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
 from cloudtomo_cl.commands import progress
 from cloudtomo_cl.commands.progress import ReconstructionProgress
+from cloudtomo_cl.commands.reconstruction import fit_text
 from cloudtomo_cl.inversion.records import IterationRecord
 
 
@@ -52,3 +54,14 @@ def test_what_is_done_before_an_iteration_ends_is_said(clock):
         assert "iteration    1" in show.live()
     logger.info("nobody listens any more")
     assert "iteration    1" in show.live()
+
+
+@pytest.mark.parametrize(
+    ("expected", "said", "advised"),
+    [(None, False, False), (0.9, True, False), (0.01, True, True)],
+    ids=["noise unknown", "fitted", "not fitted"],
+)
+def test_a_run_says_at_its_end_whether_images_are_fitted(expected, said, advised):
+    text = fit_text(replace(record(1, 2, 30.0), expected_cost=expected))
+    assert text.startswith("cost 1.0")
+    assert ("expected by the images' noise alone" in text, "pointing_error" in text) == (said, advised)
