@@ -79,6 +79,26 @@ def cost_of_independent(
     return 0.5 * float(np.sum(weights * product)), 0.5 * float(np.sqrt(max(variance, noise / 3)))
 
 
+def error_beyond_noise(image: np.ndarray, variance: np.ndarray, halves: np.ndarray, weights: np.ndarray) -> float:
+    """What an image is off by beyond its noise, 1/2 sum_d w_d (error of d)^2, by paths that are not in it.
+
+    Derivatives carry an averaged image along with the extinction, and miss what is not linear: in deep clouds much
+    more than its noise. Of what is measured counts what exceeds its own standard error (a garrote: Breiman 1995), so
+    that nothing is found where there is nothing.
+
+    Parameters
+    ----------
+    image, variance : and that of its noise, shape (pixels,)
+    halves : of other paths, independent of each other, shape (pixels, 2)
+    weights : w, shape (pixels,)
+    """
+    half_variance = (halves[:, 0] - halves[:, 1]) ** 2 / 2
+    first, second = (halves - image[:, None]).T
+    square, standard_error = cost_of_independent(first, half_variance, second, half_variance, weights)
+    off = square - noise_of(variance, weights)
+    return off - standard_error**2 / off if off > standard_error else 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class AveragedImage:
     """The modelled image, averaged over iterations: residuals that are independent of the paths that they multiply.

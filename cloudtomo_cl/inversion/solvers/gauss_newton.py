@@ -20,7 +20,7 @@ from cloudtomo_cl.inversion.data_term import DataTerm, Force
 from cloudtomo_cl.inversion.jacobian_average import JacobianAverage
 from cloudtomo_cl.inversion.mass import PAIRS, give_back, is_due, share_that_keeps_mass
 from cloudtomo_cl.inversion.noisy_model import NoisyModel
-from cloudtomo_cl.inversion.objective import cost_of_independent, noise_of
+from cloudtomo_cl.inversion.objective import cost_of_independent, error_beyond_noise, noise_of
 from cloudtomo_cl.inversion.patch_operator import stencil_footprint
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
@@ -42,8 +42,6 @@ _FITTING = 2.5
 _TRUSTED_DEPTH, _TRUSTED_GROWTH = 1 / 3, 1.3
 # What noise of a rendering may be of the misfit, or of the measured images' noise, without more paths for the images.
 _NOISE_OF_MISFIT, _NOISE_OF_MEASURED = 0.1, 2.0
-# Share of a predicted change of a pixel that is taken for the prediction's error.
-_TANGENT_ERROR = 0.1
 # Paths of an iteration, times those by default, at most.
 _MOST_PATHS = 1000
 
@@ -61,7 +59,6 @@ class GaussNewtonState:
     ----------
     extinction : km^-1, shape (voxels,)
     image, variance : of the averaged modelled image, W m^-2 sr^-1 and its square, shape (pixels,)
-    lag : `noise_of` the errors of the last step's prediction
     iterations : done so far
     fitted : of these, how many began where the model fitted the images
     misfit : mean square of the images' residuals where the last one began, in that of noise alone
@@ -75,7 +72,6 @@ class GaussNewtonState:
     extinction: np.ndarray
     image: np.ndarray
     variance: np.ndarray
-    lag: float
     iterations: int
     fitted: int
     misfit: float
@@ -92,8 +88,8 @@ class GaussNewtonState:
         return self.extinction
 
     def modelled_noise(self, problem: Problem) -> float:
-        """What noise and error of the modelled image add to the data term."""
-        return noise_of(self.variance, problem.weights) + self.lag
+        """What noise of the modelled image adds to the data term."""
+        return noise_of(self.variance, problem.weights)
 
 
 @answering
@@ -149,7 +145,7 @@ class GaussNewton:
         if problem.motions is not None:
             motions = problem.motions
         streams, turned = np.zeros(0, np.int64), np.zeros((0, *motions.shape))
-        return GaussNewtonState(start, nothing, nothing, 0.0, 0, 0, 0.0, 0.0, motions, streams, none, turned)
+        return GaussNewtonState(start, nothing, nothing, 0, 0, 0.0, 0.0, motions, streams, none, turned)
 
     @with_one_blas_thread
     def step(
@@ -233,9 +229,8 @@ class GaussNewton:
         predicted = jacobian @ (extinction - state.extinction)
         motions = calibration.motions(misfit + predicted, state.image)
         predicted = predicted + calibration.change(motions - state.motions)
-        lag = state.lag + noise_of((_TANGENT_ERROR * predicted) ** 2, weights)
         image = state.image + predicted
-        return value, replace(state, extinction=extinction, image=image, lag=lag, motions=motions)
+        return value, replace(state, extinction=extinction, image=image, motions=motions)
 
     @with_one_blas_thread
     def standard_error(self, problem: Problem, state: GaussNewtonState, draws: int, seed: int) -> np.ndarray | None:
@@ -281,8 +276,7 @@ def _derivatives_of(problem: Problem, state: GaussNewtonState, seed: int) -> Jac
     if state.derivatives is not None:
         return state.derivatives
     # What lies near a line of sight is decided once a stage: by the views as they then stand.
-    begun = state.turned[0] if len(state.turned) else state.motions
-    derivatives = JacobianAverage(problem.with_motions(begun), tail_rate)
+    derivatives = JacobianAverage(problem.with_motions(problem.motions), tail_rate)
     for number, (stream, extinction, motions) in enumerate(zip(state.streams, state.walked, state.turned)):
         _LOGGER.info("replaying the paths of iteration %d of %d", number + 1, len(state.streams))
         derivatives.add(problem.with_motions(motions), extinction, seed, int(stream))
@@ -355,12 +349,12 @@ def _with_image(problem: Problem, state: GaussNewtonState, rendering: Rendering)
     variance = rendering.standard_error**2
     rate = 1.0
     if state.iterations:
-        old, new = state.modelled_noise(problem), noise_of(variance, problem.weights)
+        off = error_beyond_noise(state.image, state.variance, rendering.halves, problem.weights)
+        old, new = state.modelled_noise(problem) + off, noise_of(variance, problem.weights)
         rate = old / (old + new) if old + new > 0 else 1 / (1 + state.iterations)
     return replace(
         state,
         image=state.image + rate * (rendering.mean - state.image),
         variance=(1 - rate) ** 2 * state.variance + rate**2 * variance,
-        lag=state.lag * (1 - rate) ** 2,
         iterations=state.iterations + 1,
     )
