@@ -11,7 +11,7 @@ DRAWS = 24
 # The draws' deviation times this is a recovery's standard error where images are fitted and voxels thin (`widening`),
 # for draws know nothing of the prior's bias, nor of the derivatives' (docs/measurements/uncertainty.md).
 WIDENED = 2.0
-# Optical depth of a voxel, along its mean chord, beyond which errors outgrow draws: light hardly tells it from deeper.
+# Optical depth of a voxel, along its mean chord, beyond which errors outgrow noise: light hardly tells it from deeper.
 _HARDLY_TOLD = 3.0
 # Least curvature in scaling, of the mean one: voxels that no pixel feels.
 LEAST_CURVATURE = 1e-3
@@ -57,4 +57,9 @@ def widening(misfit: float, depth: np.ndarray) -> np.ndarray:
     misfit : mean square of the images' residuals, in that of noise alone
     depth : optical, of voxels along their mean chord, shape (voxels,)
     """
-    return WIDENED * np.sqrt(max(misfit, 1.0) * (1 + np.square(depth / _HARDLY_TOLD)))
+    return WIDENED * np.sqrt(max(misfit, 1.0) * beyond_noise(depth))
+
+
+def beyond_noise(depth: np.ndarray | float) -> np.ndarray | float:
+    """Variances of errors in voxels of an optical depth along their mean chord, in those that noise makes."""
+    return 1 + np.square(depth / _HARDLY_TOLD)

@@ -278,6 +278,26 @@ def test_simulated_recoveries_may_go_on_upwards(problem, truth, monkeypatch):
     assert np.all(state.extinction <= trusted(start, problem.grid) * (1 + 1e-5))
 
 
+@pytest.mark.parametrize("times", [1.0, 20.0])
+def test_the_prior_counts_for_more_in_deep_clouds(scene, problem, device, truth, monkeypatch, times):
+    """Where images are fitted: by 1 + (depth / 3)^2, of a voxel with the cloud's mean extinction."""
+    weights = []
+
+    def annealed(inner, start):
+        weights.append(inner.units.weight)
+        return start
+
+    monkeypatch.setattr("cloudtomo_cl.inversion.solvers.gauss_newton.annealed", annealed)
+    cloud = times * truth
+    operator = ct.RadianceOperator(scene, problem.active.views, device)
+    seen = ct.Measurements.rendered(operator, operator.render(cloud, 256, seed=1))
+    problem = ct.Problem.of(scene, seen, mask=truth > 0, device=device)
+    solver = ct.GaussNewton(image_samples=1)
+    solver.step(problem, solver.init(problem, cloud[problem.mask].astype(float)), seed=2, stream=1)
+    depth = np.sum(cloud**2) / np.sum(cloud) * problem.grid.mean_chord
+    assert weights[-1] == pytest.approx(1 + (depth / 3) ** 2, rel=1e-5)
+
+
 def test_old_names_are_answered_with_the_new(scene, measurements, device):
     with pytest.raises(DataError, match="the argument optimizer is now solver: a GaussNewton, Adam or SGD"):
         recover(scene, measurements, device, optimizer=None)

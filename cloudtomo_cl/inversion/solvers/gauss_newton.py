@@ -23,10 +23,11 @@ from cloudtomo_cl.inversion.noisy_model import NoisyModel
 from cloudtomo_cl.inversion.objective import cost_of_independent, error_beyond_noise, noise_of
 from cloudtomo_cl.inversion.patch_operator import stencil_footprint
 from cloudtomo_cl.inversion.problem import Problem
+from cloudtomo_cl.inversion.relative_prior import mean_extinction
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
 from cloudtomo_cl.inversion.solvers.state import not_saved, of_any_length
 from cloudtomo_cl.inversion.terms import Around, stiffness_of
-from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, standard_errors, widening
+from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, beyond_noise, standard_errors, widening
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import Count, Grid
@@ -216,6 +217,10 @@ class GaussNewton:
 
         fits = unexplained <= _FITTING * units.both
         state = replace(state, fitted=state.fitted + fits, misfit=unexplained / units.both)
+        if fits:
+            # What the images say of deep clouds is off by more than noise, and the prior counts for the more.
+            depth = mean_extinction(state.extinction) * problem.grid.mean_chord
+            units = replace(units, weight=units.weight * float(beyond_noise(depth)))
         anneals = fits and getattr(problem.prior, "chooses", False)
         minimum, iteration = (annealed, None) if anneals else (rescaled, state.iterations - 1)
         stiffness = curvature * (1 + damping) + LEAST_CURVATURE * curvature.mean()
