@@ -151,7 +151,19 @@ def reconstruct(
 
     def checked() -> Checkpoint | None:
         own = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
-        check(scene, measurements, stages, prior, solver, mask=mask, device=device, seed=seed, truth=truth, resume=own, carved=carved)
+        check(
+            scene,
+            measurements,
+            stages,
+            prior,
+            solver,
+            mask=mask,
+            device=device,
+            seed=seed,
+            truth=truth,
+            resume=own,
+            carved=carved,
+        )
         return own
 
     resumed = ranks.together(checked)
@@ -169,12 +181,9 @@ def reconstruct(
     limit, asked = TimeLimit(time_limit, ranks), StopRequested(stop, ranks)
     watchers = (require_same, guard_divergence, KeepHistory(truth, callback), keeper)
     problem, state = _iterated(question, solver, run, resumed, watchers, keeper, (limit, asked), seed)
-    error, absent = None, _no_standard_error(problem, solver, run, uncertainty, asked(run))
-    if not absent:
-        error = _standard_error(problem, solver, state, uncertainty, seed)
-        absent = "the solver does not know it" if error is None else ""
+    absent = _no_standard_error(problem, solver, run, uncertainty, asked(run))
+    error, absent = (None, absent) if absent else _standard_error(problem, solver, state, run, uncertainty, seed)
     extinction = run.on_finest_grid(problem.on_grid(state.estimate))
-    error = None if error is None else run.on_finest_grid(problem.on_grid(error))
     views = measurements.moved(getattr(state, "motions", None), scene.grid).views
     history = History(run.history)
     return Reconstruction(
@@ -260,10 +269,14 @@ def _no_standard_error(problem: Problem, solver: Any, run: Run, draws: int, stop
 
 
 @device_errors("the standard errors")
-def _standard_error(problem: Problem, solver: Any, state: Any, draws: int, seed: int) -> np.ndarray | None:
-    """Of the estimate, km^-1, shape (voxels,)."""
-    found: np.ndarray | None = solver.standard_error(problem, state, draws, seed)
-    return found
+def _standard_error(
+    problem: Problem, solver: Any, state: Any, run: Run, draws: int, seed: int
+) -> tuple[np.ndarray | None, str]:
+    """Of the estimate, km^-1, on the finest grid; or none, and why."""
+    error: np.ndarray | None = solver.standard_error(problem, state, draws, seed)
+    if error is None:
+        return None, "the solver does not know it"
+    return run.on_finest_grid(problem.on_grid(error)), ""
 
 
 def check(
