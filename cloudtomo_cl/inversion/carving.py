@@ -32,7 +32,7 @@ _LOOSEST = 2.5
 # many voxels were left; with the least of them, a cloud lost 0.6 % of its mass.
 _POOLED, _QUIETEST = 7, 10.0
 
-# Share of the stated errors of views that a stage may leave in the motions that it finds (docs/decisions/view-motions.md).
+# Share of views' stated errors that a stage may leave in the motions that it finds (docs/decisions/view-motions.md).
 _STILL_UNKNOWN = 0.5
 
 # Paths per pixel of the cloud-free images that carving compares with. Without air only the horizon makes them noisy.

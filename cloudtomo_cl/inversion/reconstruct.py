@@ -149,21 +149,11 @@ def reconstruct(
     device, prior, solver = device or choose_device(), prior or PatchPrior(), solver or GaussNewton()
     ranks = device.ranks
 
+    given: dict[str, Any] = {"mask": mask, "device": device, "seed": seed, "truth": truth, "carved": carved}
+
     def checked() -> Checkpoint | None:
         own = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
-        check(
-            scene,
-            measurements,
-            stages,
-            prior,
-            solver,
-            mask=mask,
-            device=device,
-            seed=seed,
-            truth=truth,
-            resume=own,
-            carved=carved,
-        )
+        check(scene, measurements, stages, prior, solver, resume=own, **given)
         return own
 
     resumed = ranks.together(checked)
@@ -185,10 +175,8 @@ def reconstruct(
     error, absent = (None, absent) if absent else _standard_error(problem, solver, state, run, uncertainty, seed)
     extinction = run.on_finest_grid(problem.on_grid(state.estimate))
     views = measurements.moved(getattr(state, "motions", None), scene.grid).views
-    history = History(run.history)
-    return Reconstruction(
-        scene.grid, extinction, run.mask, history, run.stage_ends, error, limit.reached, absent, views
-    )
+    ended = (History(run.history), run.stage_ends, error, limit.reached, absent, views)
+    return Reconstruction(scene.grid, extinction, run.mask, *ended)
 
 
 @device_errors("the reconstruction")
