@@ -209,7 +209,6 @@ def execute(job: Job) -> Outcome:
                 job.settings.prior,
                 job.settings.solver,
                 mask=mask,
-                carved=True,
                 device=job.device,
                 seed=job.seed,
                 time_limit=job.settings.run.time_limit,

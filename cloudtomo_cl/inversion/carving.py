@@ -7,7 +7,6 @@ part of the domain in which an extinction has to be sought at all.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -32,9 +31,6 @@ _LOOSEST = 2.5
 # many voxels were left; with the least of them, a cloud lost 0.6 % of its mass.
 _POOLED, _QUIETEST = 7, 10.0
 
-# Share of views' stated errors that a stage may leave in the motions that it finds (docs/decisions/view-motions.md).
-_STILL_UNKNOWN = 0.5
-
 # Paths per pixel of the cloud-free images that carving compares with. Without air only the horizon makes them noisy.
 _CLEAR_SAMPLES, _CLEAR_SAMPLES_IN_AIR = 16, 256
 
@@ -51,24 +47,6 @@ def carved_mask(
     samples = _CLEAR_SAMPLES if scene.air is None else _CLEAR_SAMPLES_IN_AIR
     cloud_free = operator.render(np.zeros(scene.grid.shape, np.float32), samples, progress=progress)
     return carve(scene.grid, measurements, Measurements.rendered(operator, cloud_free))
-
-
-def carved_again(
-    scene: Scene, measurements: Measurements, mask: np.ndarray, motions: np.ndarray | None, device: Device
-) -> np.ndarray:
-    """What is left of a carved mask once the views' motions were found, which are then better known: bool, its shape.
-
-    motions : of the views (`scene.pointing`), shape (views, 3); none, or all 0: the mask as it is
-    """
-    if motions is None or not np.any(motions):
-        return mask
-    found = replace(
-        measurements.moved(motions, scene.grid),
-        pointing_errors=tuple(_STILL_UNKNOWN * error for error in measurements.pointing_errors),
-        position_errors=tuple(_STILL_UNKNOWN * error for error in measurements.position_errors),
-    )
-    left = mask & carved_mask(scene, found, device)
-    return left if left.any() else mask
 
 
 @renamed_arguments(clear="cloud_free")

@@ -29,8 +29,6 @@ from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
 
 FORMAT = 8
-# Arrays that are not of the solver's state.
-_OF_RUN = ("mask", "stage_motions")
 _DIGEST = "sha256:"
 # Lists longer than this are kept as a digest.
 _LONG = 32
@@ -51,7 +49,7 @@ class Checkpoint:
     seconds : since the start of the run
     stage_ends : seconds, of the stages before this one
     history : the fields of every iteration's record
-    state : the arrays of the solver's state, the mask that the run began with, and `stage_motions`
+    state : the arrays of the solver's state, and the mask
     """
 
     identity: dict[str, Any]
@@ -75,12 +73,7 @@ class Checkpoint:
     @property
     def solver_state(self) -> dict[str, np.ndarray]:
         """The arrays of the solver's state, for `solvers.state.restored`."""
-        return {name: array for name, array in self.state.items() if name not in _OF_RUN}
-
-    @property
-    def stage_motions(self) -> np.ndarray | None:
-        """Of the views, shape (views, 3), as the stage began with them, if earlier ones have found some."""
-        return self.state.get("stage_motions")
+        return {name: array for name, array in self.state.items() if name != "mask"}
 
     def check(self, identity: dict[str, Any]) -> None:
         """DataError if the run with this identity is another one; it names every key that differs."""
@@ -172,7 +165,6 @@ def identity_of(
     prior: Any,
     solver: Any,
     mask: np.ndarray,
-    carved: bool,
     truth: np.ndarray | None,
     seed: int,
 ) -> dict[str, Any]:
@@ -197,7 +189,6 @@ def identity_of(
         "pointing_errors": [*measurements.pointing_errors],
         "position_errors": [*measurements.position_errors],
         "mask": _digest(mask),
-        "carved": carved,
         "truth": None if truth is None else _digest(np.asarray(truth, np.float64)),
     }
 

@@ -139,9 +139,9 @@ class Problem:
         voxels = min(len(self.voxels), _VOXELS_PER_PIXEL * len(self.active))
         return max(2, 2 * round(max(_PATHS_PER_VOXEL * voxels, _LEAST_PATHS) / len(self.active) / 2))
 
-    def with_motions(self, motions: np.ndarray | None) -> Problem:
-        """The same problem, of views after small motions (`scene.pointing`), shape (views, 3), if there are any."""
-        if motions is None or not np.any(motions):
+    def with_motions(self, motions: np.ndarray) -> Problem:
+        """The same problem, of views after small motions (`scene.pointing`), shape (views, 3)."""
+        if not np.any(motions):
             return self
         views = [moved(view, motion, self.grid) for view, motion in zip(self.active.views, motions)]
         return replace(self, operator=self.operator.of_views(views))

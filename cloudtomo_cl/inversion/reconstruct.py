@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.inversion.carving import carved_again, carved_mask
+from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, identity_of, read_checkpoint
 from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser, unlike_prior
 from cloudtomo_cl.inversion.problem import Problem, checked_mask
@@ -53,32 +53,20 @@ _START_DEPTH = 1.0
 
 @dataclass(frozen=True, eq=False)
 class _Question:
-    """What is asked of the images, the same in all stages.
-
-    Attributes
-    ----------
-    mask : as the run begins with it
-    carved : whether carving left it: then less is left once views' motions are known
-    """
+    """What is asked of the images, the same in all stages."""
 
     scene: Scene
     measurements: Measurements
     prior: AnyPrior | Regulariser
     mask: np.ndarray
-    carved: bool
     device: Device
 
-    def mask_with(self, motions: np.ndarray | None) -> np.ndarray:
-        """Where the cloud may be, once these motions of the views were found."""
-        again = self.carved and motions is not None
-        return carved_again(self.scene, self.measurements, self.mask, motions, self.device) if again else self.mask
-
-    def at(self, stage: Stage, mask: np.ndarray) -> Problem:
+    def at(self, stage: Stage) -> Problem:
         """The problem of a stage."""
         return Problem.of(
             self.scene,
             self.measurements.at_share(stage.pixels),
-            mask=mask,
+            mask=self.mask,
             prior=self.prior,
             grid=stage.grid,
             device=self.device,
@@ -106,7 +94,6 @@ def reconstruct(
     resume: str | os.PathLike[str] | Checkpoint | None = None,
     stop: Callable[[], bool] | None = None,
     uncertainty: int = DRAWS,
-    carved: bool | None = None,
 ) -> Reconstruction:
     """Recovers extinction from images.
 
@@ -134,8 +121,6 @@ def reconstruct(
     stop : asked after every iteration; True ends the run with what it has, checkpoint included
     uncertainty : draws that the standard error is made of, at the end, in the time of an iteration or two; 0: none.
         Known with Gauss-Newton, when the last stage was reached, the images' noise is known, and nobody asked to stop
-    carved : whether the mask is what carving left; by default if none is given. Then images are carved again when
-        a stage begins, once an earlier one has found how uncertain views are turned
 
     Warns of voxels of a shape that the patch prior was not learnt from (RuntimeWarning).
 
@@ -149,25 +134,22 @@ def reconstruct(
     device, prior, solver = device or choose_device(), prior or PatchPrior(), solver or GaussNewton()
     ranks = device.ranks
 
-    given: dict[str, Any] = {"mask": mask, "device": device, "seed": seed, "truth": truth, "carved": carved}
-
     def checked() -> Checkpoint | None:
         own = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
-        check(scene, measurements, stages, prior, solver, resume=own, **given)
+        check(scene, measurements, stages, prior, solver, mask=mask, device=device, seed=seed, truth=truth, resume=own)
         return own
 
     resumed = ranks.together(checked)
     if ranks.is_first and (unlike := unlike_prior(prior, scene.grid)):
         warnings.warn(unlike, RuntimeWarning, stacklevel=3)  # of who calls, by way of `renamed_arguments`
     stages = stages_of(scene.grid, stages, solver)
-    carved = _is_carved(mask, carved, resumed)
     if mask is None:
         mask = carved_mask(scene, measurements, device) if resumed is None else resumed.mask
-    question = _Question(scene, measurements, prior, checked_mask(mask, scene.grid), carved, device)
+    question = _Question(scene, measurements, prior, checked_mask(mask, scene.grid), device)
     ranks.together(lambda: check_memory(scene, measurements, stages, device, solver, question.mask))
-    identity = identity_of(scene, measurements, stages, prior, solver, question.mask, carved, truth, seed)
+    identity = identity_of(scene, measurements, stages, prior, solver, question.mask, truth, seed)
     run = Run(stages, question.mask) if resumed is None else Run.resumed(stages, question.mask, resumed)
-    keeper = KeepCheckpoints(Checkpoints(checkpoint, checkpoint_interval, ranks), identity, device.name, question.mask)
+    keeper = KeepCheckpoints(Checkpoints(checkpoint, checkpoint_interval, ranks), identity, device.name)
     limit, asked = TimeLimit(time_limit, ranks), StopRequested(stop, ranks)
     watchers = (require_same, guard_divergence, KeepHistory(truth, callback), keeper)
     problem, state = _iterated(question, solver, run, resumed, watchers, keeper, (limit, asked), seed)
@@ -175,8 +157,10 @@ def reconstruct(
     error, absent = (None, absent) if absent else _standard_error(problem, solver, state, run, uncertainty, seed)
     extinction = run.on_finest_grid(problem.on_grid(state.estimate))
     views = measurements.moved(getattr(state, "motions", None), scene.grid).views
-    ended = (History(run.history), run.stage_ends, error, limit.reached, absent, views)
-    return Reconstruction(scene.grid, extinction, run.mask, *ended)
+    history = History(run.history)
+    return Reconstruction(
+        scene.grid, extinction, question.mask, history, run.stage_ends, error, limit.reached, absent, views
+    )
 
 
 @device_errors("the reconstruction")
@@ -192,12 +176,11 @@ def _iterated(
 ) -> tuple[Problem, Any]:
     """All stages, from where the run stands; returns the last problem, and the state that it ended with."""
     estimate = np.full(run.stages[0].grid, _start(solver, question.scene.grid, question.mask))
+    motions = None
     while True:
         stage = run.stages[run.stage]
         _LOGGER.info("stage %d of %d: building its kernels", run.stage + 1, len(run.stages))
-        run.mask = question.mask_with(run.motions)
-        problem = question.device.ranks.together(partial(question.at, stage, run.mask))
-        problem = replace(problem, motions=run.motions)
+        problem = replace(question.device.ranks.together(partial(question.at, stage)), motions=motions)
         _LOGGER.info("stage %d of %d: its first iteration", run.stage + 1, len(run.stages))
         state = solver.init(problem, resample_in_mask(estimate, problem.mask)[problem.mask])
         if resumed is not None:
@@ -214,15 +197,8 @@ def _iterated(
         _LOGGER.info("stage %d of %d ended after %.1f s", run.stage + 1, len(run.stages), run.seconds)
         if run.stage + 1 == len(run.stages) or _is_over(run, rules):
             return problem, state
-        estimate, run.motions = problem.on_grid(state.estimate), getattr(state, "motions", None)
+        estimate, motions = problem.on_grid(state.estimate), getattr(state, "motions", None)
         run.stage, run.iteration = run.stage + 1, 0
-
-
-def _is_carved(mask: np.ndarray | None, said: bool | None, resumed: Checkpoint | None) -> bool:
-    """Whether a mask is what carving left, where nobody says so: as the checkpoint has it, or if none is given."""
-    if said is not None:
-        return said
-    return mask is None if resumed is None else bool(resumed.identity.get("carved"))
 
 
 def _start(solver: Any, grid: Grid, mask: np.ndarray) -> float:
@@ -279,7 +255,6 @@ def check(
     seed: int = 0,
     truth: np.ndarray | None = None,
     resume: Checkpoint | None = None,
-    carved: bool | None = None,
 ) -> None:
     """Refuses what `reconstruct` with the same arguments would refuse, without a path.
 
@@ -305,8 +280,7 @@ def check(
     check_memory(scene, measurements, stages, device, solver, mask)
     _check_start(scene.grid, stages, solver)
     if resume is not None and mask is not None:
-        carved = _is_carved(mask, carved, resume)
-        resume.check(identity_of(scene, measurements, stages, prior, solver, mask, carved, truth, seed))
+        resume.check(identity_of(scene, measurements, stages, prior, solver, mask, truth, seed))
 
 
 def _check_start(grid: Grid, stages: Sequence[Stage], solver: Any) -> None:

@@ -31,8 +31,7 @@ class Run:
     Attributes
     ----------
     stages : all of them
-    mask : bool, on the finest grid: where the stage seeks the cloud
-    motions : of the views, shape (views, 3), that the stage began with, where earlier ones have found some
+    mask : bool, on the finest grid
     stage, iteration : where the run stands: counted from 0, and done in this stage
     history, stage_ends : as of `Reconstruction`
     start : the clock's time at which it began, were there no resumes
@@ -40,7 +39,6 @@ class Run:
 
     stages: Sequence[Stage]
     mask: np.ndarray
-    motions: np.ndarray | None = None
     stage: int = 0
     iteration: int = 0
     history: list[IterationRecord] = field(default_factory=list)
@@ -53,7 +51,6 @@ class Run:
         return cls(
             stages,
             mask,
-            checkpoint.stage_motions,
             checkpoint.stage,
             checkpoint.iterations,
             records(checkpoint),
@@ -159,7 +156,6 @@ class KeepCheckpoints:
     checkpoints: Checkpoints
     identity: dict[str, Any]
     device_name: str
-    mask: np.ndarray
 
     def __call__(self, run: Run, problem: Problem, state: Any, progress: Progress) -> None:
         self.take(len(run.history) == 1, run, state)
@@ -168,7 +164,6 @@ class KeepCheckpoints:
         """One, if it is time or must be now."""
 
         def checkpoint() -> Checkpoint:
-            of_run = {"mask": self.mask} | ({} if run.motions is None else {"stage_motions": run.motions})
             return Checkpoint(
                 identity=self.identity,
                 device=self.device_name,
@@ -177,7 +172,7 @@ class KeepCheckpoints:
                 seconds=run.seconds,
                 stage_ends=list(run.stage_ends),
                 history=rows(run.history),
-                state={**arrays_of(state), **of_run},
+                state={**arrays_of(state), "mask": run.mask},
             )
 
         self.checkpoints.take(now, run.stage, run.iteration, checkpoint)

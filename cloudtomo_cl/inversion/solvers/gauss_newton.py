@@ -281,7 +281,8 @@ def _derivatives_of(problem: Problem, state: GaussNewtonState, seed: int) -> Jac
     if state.derivatives is not None:
         return state.derivatives
     # What lies near a line of sight is decided once a stage: by the views as they then stand.
-    derivatives = JacobianAverage(problem.with_motions(problem.motions), tail_rate)
+    begun = state.turned[0] if len(state.turned) else state.motions
+    derivatives = JacobianAverage(problem.with_motions(begun), tail_rate)
     for number, (stream, extinction, motions) in enumerate(zip(state.streams, state.walked, state.turned)):
         _LOGGER.info("replaying the paths of iteration %d of %d", number + 1, len(state.streams))
         derivatives.add(problem.with_motions(motions), extinction, seed, int(stream))
