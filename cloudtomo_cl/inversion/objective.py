@@ -79,6 +79,11 @@ def cost_of_independent(
     return 0.5 * float(np.sum(weights * product)), 0.5 * float(np.sqrt(max(variance, noise / 3)))
 
 
+def variance_of_half(halves: np.ndarray) -> np.ndarray:
+    """Of either of two independent halves of a rendering's paths, shape (pixels, 2): shape (pixels,)."""
+    return (halves[:, 0] - halves[:, 1]) ** 2 / 2
+
+
 def error_beyond_noise(image: np.ndarray, variance: np.ndarray, halves: np.ndarray, weights: np.ndarray) -> float:
     """What an image is off by beyond its noise, 1/2 sum_d w_d (error of d)^2, by paths that are not in it.
 
@@ -92,9 +97,9 @@ def error_beyond_noise(image: np.ndarray, variance: np.ndarray, halves: np.ndarr
     halves : of other paths, independent of each other, shape (pixels, 2)
     weights : w, shape (pixels,)
     """
-    half_variance = (halves[:, 0] - halves[:, 1]) ** 2 / 2
+    of_half = variance_of_half(halves)
     first, second = (halves - image[:, None]).T
-    square, standard_error = cost_of_independent(first, half_variance, second, half_variance, weights)
+    square, standard_error = cost_of_independent(first, of_half, second, of_half, weights)
     off = square - noise_of(variance, weights)
     return off - standard_error**2 / off if off > standard_error else 0.0
 
@@ -132,7 +137,7 @@ class AveragedImage:
     ) -> tuple[float, float]:
         """F and its standard error, from halves of shape (pixels, 2) of paths that are not averaged yet."""
         residuals = halves - measured[:, None]
-        half_variance = (halves[:, 0] - halves[:, 1]) ** 2 / 2
+        half_variance = variance_of_half(halves)
         if window == 1 or self.iterations == 0:
             first, second = residuals[:, 0], self._calibrated(residuals[:, 1], calibration)
             return cost_of_independent(first, half_variance, second, half_variance, weights)
@@ -161,7 +166,7 @@ class AveragedImage:
     def with_halves(self, halves: np.ndarray, window: int = 1) -> AveragedImage:
         """With one more iteration's halves in the average."""
         rate = self._rate(window)
-        variance = (halves[:, 0] - halves[:, 1]) ** 2 / 4
+        variance = variance_of_half(halves) / 2
         return AveragedImage(
             self.mean + rate * (halves.mean(axis=1) - self.mean),
             (1.0 - rate) ** 2 * self.variance + rate**2 * variance,

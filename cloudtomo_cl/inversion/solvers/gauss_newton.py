@@ -20,7 +20,7 @@ from cloudtomo_cl.inversion.data_term import DataTerm, Force
 from cloudtomo_cl.inversion.jacobian_average import JacobianAverage
 from cloudtomo_cl.inversion.mass import PAIRS, give_back, is_due, share_that_keeps_mass
 from cloudtomo_cl.inversion.noisy_model import NoisyModel
-from cloudtomo_cl.inversion.objective import cost_of_independent, error_beyond_noise, noise_of
+from cloudtomo_cl.inversion.objective import cost_of_independent, error_beyond_noise, noise_of, variance_of_half
 from cloudtomo_cl.inversion.patch_operator import stencil_footprint
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
@@ -345,7 +345,7 @@ def _misfit(problem: Problem, state: GaussNewtonState) -> np.ndarray:
 
 def _cost(problem: Problem, halves: np.ndarray, state: GaussNewtonState) -> tuple[float, float]:
     calibration = problem.active.calibration
-    variance = (halves[:, 0] - halves[:, 1]) ** 2 / 2
+    variance = variance_of_half(halves)
     first, second = (halves - (problem.radiance + calibration.change(state.motions))[:, None]).T
     return cost_of_independent(first, variance, calibration(second, state.image), variance, problem.weights)
 
