@@ -62,8 +62,7 @@ class Clock:
     """Seconds by kind, of the clock and of the processor, and how many calls.
 
     Launches that are made again without a call (`Device.repeated`) are counted as calls; their seconds are told of
-    whole iterations only. One process makes a product more than ranks do in each minimisation that
-    ends early: it looks whether it has ended one iteration behind.
+    whole iterations only.
     """
 
     def __init__(self, ranks: Any) -> None:

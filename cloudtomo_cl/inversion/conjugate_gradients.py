@@ -91,15 +91,13 @@ class _Descent:
 
         repeated = self._device.repeated if self._repeats else nullcontext
         # Where that costs the host nothing it is an iteration ahead, so that the device has something to do while it
-        # looks whether that was the last one; one too many changes nothing. After as many as may be it is not, nor
-        # where ranks would wait for each other in it.
-        ahead = self._repeats and self._device.ranks.size == 1
+        # looks whether that was the last one; one too many changes nothing. After as many as may be it is not.
         behind: deque[tuple[np.ndarray, Any]] = deque()
         with repeated(iterate) as again:
             for number in count(1):
                 again()
                 behind.append(self._descent.get_async())
-                while len(behind) > (ahead and number < iterations):
+                while len(behind) > (self._repeats and number < iterations):
                     descent, copied = behind.popleft()
                     copied.wait()
                     if descent["ended"][0]:

@@ -95,15 +95,17 @@ class PatchOperator:
         self.halo = tuple(np.array([*mask.shape[:2], tiles_along * _LANES]) + 2 * margins)
         at = np.argwhere(mask)
         constant = device.constant
-        self.voxel = constant(_ushort4(at))
         self._shares = device.ranks.dealt(np.arange(len(patches)) // _PATCHES_OF_BLOCK)
-        self._own_centres = self._shares.taken(patches.centres)
-        self._centre = constant(_ushort4(self._own_centres))
+        self._patch = np.asarray(np.ravel_multi_index(tuple(patches.centres.T), mask.shape))
+        self._own_patch = self._shares.taken(self._patch)
+        self._centre = constant(_ushort4(self._shares.taken(patches.centres)))
         self.place = constant(np.ravel_multi_index(tuple((at + margins).T), self.halo).astype(np.uint32))
-        # This rank's tiles that hold a voxel of the mask, and its numbers; voxels of a tile have one owner.
         self.voxel_shares = voxel_shares(mask, device.ranks)
         own = np.zeros(self.voxels, bool)
         own[self.voxel_shares.own] = True
+        # The fourth number: whether it is another rank's.
+        self.voxel = constant(np.column_stack([at, ~own]).astype(np.uint16))
+        # This rank's tiles that hold a voxel of the mask, and its numbers; voxels of a tile have one owner.
         numbers = np.full((*mask.shape[:2], tiles_along * _LANES), -1, np.int32)
         numbers[:, :, : mask.shape[2]][mask] = np.arange(self.voxels)
         self._numbers = numbers.reshape(-1, _LANES)
@@ -151,7 +153,8 @@ class PatchOperator:
         component, cost = self.device.ranks.together(lambda: self._chosen_of_rank(u, noise))
         if shares.owner is not None:
             found = component.get()
-            found[tuple(self.patches.centres.T)] = shares.gathered(found[tuple(self._own_centres.T)])
+            flat = found.reshape(-1)
+            flat[self._patch] = shares.gathered(flat[self._own_patch])
             component.set(found)
         self._guess = component
         return component, float(np.sum(shares.gathered(cost.get()[: len(shares)]), dtype=np.float64))
@@ -234,6 +237,10 @@ class PatchQuadratic:
             diagonal_of=device.constant(diagonals.astype(np.float32)), of_means=self._of_means,
             clear=self._clear, diagonal=self._diagonal,
         )  # fmt: skip
+        # The means' part is needed in products alone, of which each rank makes its own numbers.
+        gathering = Gathering(device, self.shares)
+        gathering.complete(self._clear)
+        gathering.complete(self._diagonal)
 
     @cached_property
     def components(self) -> np.ndarray:
@@ -281,7 +288,8 @@ class PatchQuadratic:
 
     def times(self, change: np.ndarray) -> np.ndarray:
         """The second derivative's product with a vector, shape (voxels,), float64."""
-        return self._product(change, means=0.0)
+        # Of no change there is none, and it is often asked for where components were chosen.
+        return self._product(change, means=0.0) if np.any(change) else np.zeros(len(change))
 
     def value_and_gradient(self, u: np.ndarray) -> tuple[float, np.ndarray]:
         """At another u."""
