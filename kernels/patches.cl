@@ -172,12 +172,12 @@ __kernel void assemble_stencil(ASSEMBLE_STENCIL_PARAMETERS)
         stencil[(((size_t)tile * OFFSETS_X * OFFSETS_Y + across) * OFFSETS_Z + n) * LANES + lane] = sums[n];
 }
 
-/* Of every voxel: what patches with cloud add to the slope at 0, how many places it has in patches without, and the
- * diagonal of the matrix. */
+/* Of every voxel that is not another rank's (w): what patches with cloud add to the slope at 0, how many places it has
+ * in patches without, and the diagonal of the matrix. */
 __kernel void sum_patches(SUM_PATCHES_PARAMETERS)
 {
     const uint index = get_global_id(0);
-    if (index >= voxel_count)
+    if (index >= voxel_count || voxel[index].w)
         return;
     const int3 own = int3_of(voxel[index]);
     const int2 xs = centres_of(own.x, own.x, PATCH_X, shape.x), ys = centres_of(own.y, own.y, PATCH_Y, shape.y);

@@ -111,6 +111,12 @@ __kernel void fill_table(FILL_TABLE_PARAMETERS)
     }
 }
 
+/* Bins whose sums are made side by side: each in its order, all in registers. */
+#define TOGETHER 20
+#if DIRECTION_BINS % TOGETHER
+#error TOGETHER has to divide the number of bins
+#endif
+
 /* From a cell's sums to what derivatives are made of, in their place, for tables take much memory. Volatile: compilers
  * may think that numbers of two types never share a place. */
 __kernel void tabulate(TABULATE_PARAMETERS)
@@ -128,11 +134,17 @@ __kernel void tabulate(TABULATE_PARAMETERS)
     const uint3 parts = cells[cell_column[cell]].yzw;
     const float radiance = unit * (float)(parts.x * parts.y * parts.z);
     volatile __global float *diffuse = (volatile __global float *)sums;
-    for (int bin = 0; bin < DIRECTION_BINS; ++bin) {
-        float sum = 0.0f;
+    for (int first = 0; first < DIRECTION_BINS; first += TOGETHER) {
+        float sums_of[TOGETHER] = {0.0f};
         for (int from = 0; from < DIRECTION_BINS; ++from)
-            sum += into[from] * scattering[from * DIRECTION_BINS + bin];
-        diffuse[bin] = radiance * (sum - into[bin] / solid_angle[bin]);
-        diffuse[DIRECTION_BINS + bin] = radiance * sum;
+#pragma unroll
+            for (int n = 0; n < TOGETHER; ++n)
+                sums_of[n] += into[from] * scattering[from * DIRECTION_BINS + first + n];
+#pragma unroll
+        for (int n = 0; n < TOGETHER; ++n) {
+            const int bin = first + n;
+            diffuse[bin] = radiance * (sums_of[n] - into[bin] / solid_angle[bin]);
+            diffuse[DIRECTION_BINS + bin] = radiance * sums_of[n];
+        }
     }
 }

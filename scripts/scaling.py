@@ -61,9 +61,8 @@ def _awaited(result: Any, owner: Any) -> Any:
 class Clock:
     """Seconds by kind, of the clock and of the processor, and how many calls.
 
-    Launches that are made again without a call (`Device.repeated`, in one process alone) are counted as calls; their
-    seconds are told of whole iterations only. One process makes a product more than ranks do in each minimisation that
-    ends early: it looks whether it has ended one iteration behind.
+    Launches that are made again without a call (`Device.repeated`) are counted as calls; their seconds are told of
+    whole iterations only.
     """
 
     def __init__(self, ranks: Any) -> None:
@@ -95,12 +94,10 @@ class Clock:
             def again(launch: Any) -> None:
                 before = dict(self.calls)
                 launch()
-                new = {kind: calls - before.get(kind, 0) for kind, calls in self.calls.items()}
-                if any(new.values()):  # it was recorded
-                    made.update(new)
-                else:
-                    for kind, calls in made.items():
-                        self.calls[kind] += calls
+                if not made:  # it was recorded
+                    made.update({kind: calls - before.get(kind, 0) for kind, calls in self.calls.items()})
+                for kind, calls in made.items():
+                    self.calls[kind] = before.get(kind, 0) + calls
 
             with repeated(device, function) as launch:
                 yield functools.partial(again, launch)

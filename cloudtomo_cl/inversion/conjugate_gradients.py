@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from cloudtomo_cl.inversion.terms import Term
+from cloudtomo_cl.inversion.terms import Term, shares_of
 from cloudtomo_cl.inversion.vectors import PARTS, Vectors
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, device_errors
+from cloudtomo_cl.opencl.gathering import Gathering
 from cloudtomo_cl.opencl.layout import STRUCTS
 
 # Ended when two steps in a row have gained less than this share of all that was gained.
@@ -65,8 +66,9 @@ class _Descent:
     ) -> None:
         self._quadratic = [term for term in terms if term.quadratic]
         self._others = [term for term in terms if not term.quadratic]
-        self._repeats = all(getattr(term, "launches_alone", False) for term in terms)
+        self._repeats = all(getattr(term, "repeatable", False) for term in terms)
         self._device = device
+        self._gathering = Gathering(device, shares_of(self._quadratic))
         vectors = self._vectors = Vectors(device, len(start))
         self._x, self._scale = vectors.of(start), vectors.of(1 / stiffness)
         self._upper = vectors.of(np.broadcast_to(upper, start.shape))
@@ -77,6 +79,7 @@ class _Descent:
         self._descent = device.array(begin)
         for term in self._quadratic:
             term.add_gradient(self._x, self._linear)
+        self._gathering.complete(self._linear)
         self._gradient = self._whole_gradient()
 
     def run(self, iterations: int, tolerance: float) -> np.ndarray:
@@ -110,6 +113,8 @@ class _Descent:
         )  # fmt: skip
         for term in self._quadratic:
             term.add_product(self._change, self._product)
+        # Of several ranks, once for all terms.
+        self._gathering.complete(self._product)
         self._image = self._secant() if self._others else self._product
 
     def _secant(self) -> DeviceArray:

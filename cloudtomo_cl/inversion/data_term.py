@@ -10,6 +10,8 @@ from cloudtomo_cl.inversion.calibration import Calibration
 from cloudtomo_cl.inversion.vectors import MINIMISE_FEATURES, Vectors
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.gathering import Gathering
+from cloudtomo_cl.parallel.ranks import Shares
 from cloudtomo_cl.transport.jacobian import Jacobian
 
 # Pixels of a view whose sums are made at a time.
@@ -87,6 +89,7 @@ class DataTerm:
     """
 
     quadratic: ClassVar[bool] = True
+    repeatable: ClassVar[bool] = True
 
     def __init__(
         self, jacobian: Jacobian, force: Force, residual: np.ndarray, start: np.ndarray, damping: np.ndarray
@@ -99,15 +102,16 @@ class DataTerm:
         self._image, self._weighed = self._pixels.zeros(), self._pixels.zeros()
 
     @property
-    def launches_alone(self) -> bool:
+    def shares(self) -> Shares | None:
         """See `Term`."""
-        return getattr(self._jacobian, "launches_alone", False)
+        return self._jacobian.voxel_shares
 
     @property
     def slope(self) -> np.ndarray:
         """Its gradient at the start, shape (voxels,), float64."""
         gradient = self._vectors.zeros()
         self.add_gradient(self._start, gradient)
+        Gathering(self._force.device, self.shares).complete(gradient)
         return gradient.get().astype(float)
 
     def add_gradient(self, x: DeviceArray, result: DeviceArray) -> None:

@@ -13,13 +13,14 @@ from cloudtomo_cl.inversion.patches import Patches
 from cloudtomo_cl.inversion.vectors import Vectors
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, device_errors
+from cloudtomo_cl.opencl.gathering import Gathering
 from cloudtomo_cl.opencl.memory import Footprint
-from cloudtomo_cl.parallel.ranks import Ranks, Shares
+from cloudtomo_cl.transport.voxel_shares import ROW, voxel_shares
 
-# Ranks have patches, and tiles of the stencil, in blocks of so many.
-_PATCHES_OF_BLOCK, _TILES_OF_BLOCK = 64, 8
+# Ranks have patches in blocks of so many.
+_PATCHES_OF_BLOCK = 64
 # Voxels of a tile of the stencil, in a row along z; and what stands for a patch that holds no voxel of the mask.
-_LANES, _NO_PATCH = 8, 65535
+_LANES, _NO_PATCH = ROW, 65535
 
 
 # Share of the tiles' voxels that are near cloud, and how many voxels share a patch of 5 x 5 x 3 with one.
@@ -69,32 +70,6 @@ class _Components:
         return cls(noise, **kept, diagonal=np.diagonal(precisions, axis1=1, axis2=2).copy())
 
 
-@dataclass(frozen=True, eq=False)
-class Tiles:
-    """Tiles of the stencil, of which every rank has some.
-
-    Attributes
-    ----------
-    corners, numbers : of this rank's, their first voxels, and their voxels' numbers
-    voxels : which rank makes the product of which voxel
-    """
-
-    corners: np.ndarray
-    numbers: np.ndarray
-    voxels: Shares
-
-    @classmethod
-    def dealt(cls, corners: np.ndarray, numbers: np.ndarray, voxels: int, ranks: Ranks) -> Tiles:
-        """Deals all tiles out."""
-        shares = ranks.dealt(np.arange(len(corners)) // _TILES_OF_BLOCK)
-        if shares.owner is None:
-            return cls(corners, numbers, Shares(ranks, voxels))
-        owner = np.zeros(voxels, shares.owner.dtype)
-        inside = numbers >= 0
-        owner[numbers[inside]] = np.broadcast_to(shares.owner[:, None], numbers.shape)[inside]
-        return cls(shares.taken(corners), shares.taken(numbers), Shares(ranks, voxels, owner))
-
-
 class PatchOperator:
     """What does not change from step to step.
 
@@ -103,6 +78,10 @@ class PatchOperator:
     patches : of the voxels
     mixture : of patches of this size
     device : where to compute
+
+    Attributes
+    ----------
+    voxel_shares : which rank makes the products of which voxels: those of its tiles of the stencil
     """
 
     @device_errors("the prior")
@@ -116,20 +95,26 @@ class PatchOperator:
         self.halo = tuple(np.array([*mask.shape[:2], tiles_along * _LANES]) + 2 * margins)
         at = np.argwhere(mask)
         constant = device.constant
-        self.voxel = constant(_ushort4(at))
         self._shares = device.ranks.dealt(np.arange(len(patches)) // _PATCHES_OF_BLOCK)
-        self._own_centres = self._shares.taken(patches.centres)
-        self._centre = constant(_ushort4(self._own_centres))
+        self._patch = np.asarray(np.ravel_multi_index(tuple(patches.centres.T), mask.shape))
+        self._own_patch = self._shares.taken(self._patch)
+        self._centre = constant(_ushort4(self._shares.taken(patches.centres)))
         self.place = constant(np.ravel_multi_index(tuple((at + margins).T), self.halo).astype(np.uint32))
-        # Tiles that hold a voxel of the mask, and its numbers.
+        self.voxel_shares = voxel_shares(mask, device.ranks)
+        own = np.zeros(self.voxels, bool)
+        own[self.voxel_shares.own] = True
+        # The fourth number: whether it is another rank's.
+        self.voxel = constant(np.column_stack([at, ~own]).astype(np.uint16))
+        # This rank's tiles that hold a voxel of the mask, and its numbers; voxels of a tile have one owner.
         numbers = np.full((*mask.shape[:2], tiles_along * _LANES), -1, np.int32)
         numbers[:, :, : mask.shape[2]][mask] = np.arange(self.voxels)
         self._numbers = numbers.reshape(-1, _LANES)
-        chosen = np.flatnonzero((self._numbers >= 0).any(axis=1))
+        last = self._numbers.max(axis=1)
+        chosen = np.flatnonzero((last >= 0) & own[last])
         self._numbers = self._numbers[chosen]
         x, y, z = np.unravel_index(chosen, (*mask.shape[:2], tiles_along))
         self._corners = _ushort4(np.column_stack([x, y, z * _LANES]))
-        self._all_corners = constant(self._corners)
+        self._corner = constant(self._corners)
         self.values = device.zeros(self.halo, np.float32)
         self._guess = device.empty(self.shape, np.uint16)
         self._guess.fill(_NO_PATCH)
@@ -168,7 +153,8 @@ class PatchOperator:
         component, cost = self.device.ranks.together(lambda: self._chosen_of_rank(u, noise))
         if shares.owner is not None:
             found = component.get()
-            found[tuple(self.patches.centres.T)] = shares.gathered(found[tuple(self._own_centres.T)])
+            flat = found.reshape(-1)
+            flat[self._patch] = shares.gathered(flat[self._own_patch])
             component.set(found)
         self._guess = component
         return component, float(np.sum(shares.gathered(cost.get()[: len(shares)]), dtype=np.float64))
@@ -187,15 +173,16 @@ class PatchOperator:
         )  # fmt: skip
         return component, cost
 
-    def tiles_near_cloud(self, component: DeviceArray) -> Tiles:
-        """Those with a voxel in a patch that has cloud."""
-        reached = self.device.empty(len(self._corners), np.uint8)
+    def tiles_near_cloud(self, component: DeviceArray) -> tuple[np.ndarray, np.ndarray]:
+        """Those of this rank with a voxel in a patch that has cloud: their first voxels, and their voxels' numbers."""
+        tiles = len(self._corners)
+        reached = self.device.empty(max(tiles, 1), np.uint8)
         self.launch(
-            "find_tiles", len(self._corners), tile_count=len(self._corners), corner=self._all_corners,
-            shape=self.shape, component=component, reached=reached,
+            "find_tiles", tiles, tile_count=tiles, corner=self._corner, shape=self.shape, component=component,
+            reached=reached,
         )  # fmt: skip
-        chosen = np.flatnonzero(reached.get())
-        return Tiles.dealt(self._corners[chosen], self._numbers[chosen], self.voxels, self.device.ranks)
+        chosen = np.flatnonzero(reached.get()[:tiles])
+        return self._corners[chosen], self._numbers[chosen]
 
 
 class PatchQuadratic:
@@ -211,19 +198,19 @@ class PatchQuadratic:
     Attributes
     ----------
     value : at u
+    shares : which rank makes which numbers of products
     """
 
     @device_errors("the prior")
     def __init__(self, operator: PatchOperator, u: np.ndarray, noise: float, weight_of_clear: float = 1.0) -> None:
-        self._operator, self._at = operator, u
+        self._operator, self._at, self.shares = operator, u, operator.voxel_shares
         self._gradient: np.ndarray | None = None
         device = operator.device
         self._component, self.value = operator.chosen_components(device.array(u.astype(np.float32)), noise)
         components = operator.components(noise)
-        tiles = operator.tiles_near_cloud(self._component)
-        self._tiles, self._shares = len(tiles.corners), tiles.voxels
-        self._corner, self._number = device.constant(tiles.corners), device.constant(tiles.numbers)
-        self._part = operator.vectors.zeros()
+        corners, numbers = operator.tiles_near_cloud(self._component)
+        self._tiles = len(corners)
+        self._corner, self._number = device.constant(corners), device.constant(numbers)
         device.ranks.together(lambda: self._assemble(components))
         self._sum_patches(components, weight_of_clear)
         self.value += 0.5 * (1 - 1 / weight_of_clear) * float(self.clear @ np.square(u))
@@ -250,11 +237,10 @@ class PatchQuadratic:
             diagonal_of=device.constant(diagonals.astype(np.float32)), of_means=self._of_means,
             clear=self._clear, diagonal=self._diagonal,
         )  # fmt: skip
-
-    @property
-    def launches_alone(self) -> bool:
-        """Whether products are launches and nothing else: of one rank."""
-        return self._shares.owner is None
+        # The means' part is needed in products alone, of which each rank makes its own numbers.
+        gathering = Gathering(device, self.shares)
+        gathering.complete(self._clear)
+        gathering.complete(self._diagonal)
 
     @cached_property
     def components(self) -> np.ndarray:
@@ -277,31 +263,21 @@ class PatchQuadratic:
     ) -> None:
         """Adds factor times the second derivative's product with scale x to a result, shape (voxels,).
 
+        Of several ranks each adds to the numbers of its voxels (`shares`); what becomes of others' is any.
+
         means : 1: the gradient at scale x
         """
         operator = self._operator
         operator.spread(x, scale)
-        self._add_stencil_product(factor, result)
+        operator.launch(
+            "add_stencil_product", self._tiles, tile_count=self._tiles, corner=self._corner, number=self._number,
+            halo=operator.halo, stencil=self._stencil, values=operator.values, factor=factor, result=result,
+        )  # fmt: skip
         operator.launch(
             "add_diagonal_product", operator.voxels, voxel_count=operator.voxels, place=operator.place,
             clear=self._clear, of_means=self._of_means, means=means, values=operator.values, factor=factor,
             result=result,
         )  # fmt: skip
-
-    def _add_stencil_product(self, factor: float, result: DeviceArray) -> None:
-        """Adds it; of several ranks each makes that of its tiles, apart, and all have all."""
-        operator, shares = self._operator, self._shares
-        alone = shares.owner is None
-        if not alone:
-            self._part.fill(0.0)
-        operator.launch(
-            "add_stencil_product", self._tiles, tile_count=self._tiles, corner=self._corner, number=self._number,
-            halo=operator.halo, stencil=self._stencil, values=operator.values, factor=factor,
-            result=result if alone else self._part,
-        )  # fmt: skip
-        if not alone:
-            self._part.set(shares.gathered(shares.taken(self._part.get())))
-            operator.vectors.add(1.0, self._part, result)
 
     def _gradient_at_u(self) -> np.ndarray:
         # No cached_property: until Python 3.12 that is one lock for all objects, and ranks that are threads wait for
@@ -312,7 +288,8 @@ class PatchQuadratic:
 
     def times(self, change: np.ndarray) -> np.ndarray:
         """The second derivative's product with a vector, shape (voxels,), float64."""
-        return self._product(change, means=0.0)
+        # Of no change there is none, and it is often asked for where components were chosen.
+        return self._product(change, means=0.0) if np.any(change) else np.zeros(len(change))
 
     def value_and_gradient(self, u: np.ndarray) -> tuple[float, np.ndarray]:
         """At another u."""
@@ -325,6 +302,7 @@ class PatchQuadratic:
         device = self._operator.device
         result = device.zeros(len(x), np.float32)
         self.add_product(device.array(x.astype(np.float32)), result, 1.0, means=means)
+        Gathering(device, self.shares).complete(result)
         return result.get().astype(float)
 
 

@@ -11,6 +11,7 @@ from cloudtomo_cl.inversion.bound_prior import NoiseUnits
 from cloudtomo_cl.inversion.patch_operator import PatchOperator, PatchQuadratic
 from cloudtomo_cl.inversion.vectors import Vectors
 from cloudtomo_cl.opencl.arrays import DeviceArray
+from cloudtomo_cl.parallel.ranks import Shares
 
 # Noise of a stage's first step, and how it falls from step to step.
 _FIRST_NOISE, _NOISE_SHARE = 0.2, 0.7
@@ -150,11 +151,12 @@ class PatchTerm:
     factor: float
     scale: float
     quadratic: ClassVar[bool] = True
+    repeatable: ClassVar[bool] = True
 
     @property
-    def launches_alone(self) -> bool:
+    def shares(self) -> Shares:
         """See `Term`."""
-        return self.patches.launches_alone
+        return self.patches.shares
 
     def add_gradient(self, x: DeviceArray, result: DeviceArray) -> None:
         factor = self.factor * self.scale

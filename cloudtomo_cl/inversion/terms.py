@@ -10,6 +10,7 @@ import numpy as np
 from cloudtomo_cl.inversion.vectors import Vectors
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.parallel.ranks import Shares
 
 if TYPE_CHECKING:
     from cloudtomo_cl.inversion.bound_prior import FrozenPrior, NoiseUnits
@@ -18,8 +19,9 @@ if TYPE_CHECKING:
 class Term(Protocol):
     """One of the functions whose sum is minimised. Arrays are on the device: float32, shape (unknowns,).
 
-    Of terms with a true `launches_alone`, products are launches on arrays that stay the same and nothing else, which
-    may be made again without a call (`Device.repeated`).
+    Of terms with a true `repeatable`, products are launches on arrays that stay the same, and `Device.step`s, and
+    nothing else: they may be made again without a call (`Device.repeated`). Of terms with `shares` each rank makes its
+    own numbers of gradients and products, and whoever adds them up hands them out; of others every rank makes all.
 
     Attributes
     ----------
@@ -35,6 +37,14 @@ class Term(Protocol):
     def add_product(self, x: DeviceArray, result: DeviceArray) -> None:
         """Adds its second derivative times x."""
         ...
+
+
+def shares_of(terms: Sequence[Term]) -> Shares | None:
+    """Which rank makes which numbers of the sum of some terms; none where each makes all."""
+    found = [shares for shares in (getattr(term, "shares", None) for term in terms) if shares is not None]
+    owners = [shares.owner for shares in found if shares.owner is not None]
+    assert all(np.array_equal(owners[0], other) for other in owners), "a sum is made whole by one rank"
+    return found[0] if found else None
 
 
 class HostTerm:
@@ -102,9 +112,14 @@ class Around:
         self._change = self._vectors.zeros()
 
     @property
-    def launches_alone(self) -> bool:
+    def repeatable(self) -> bool:
         """See `Term`."""
-        return all(getattr(term, "launches_alone", False) for term in self._terms)
+        return all(getattr(term, "repeatable", False) for term in self._terms)
+
+    @property
+    def shares(self) -> Shares | None:
+        """See `Term`."""
+        return shares_of(self._terms)
 
     def add_gradient(self, x: DeviceArray, result: DeviceArray) -> None:
         self._vectors.launch("find_change", x=x, start=self._centre, result=self._change)

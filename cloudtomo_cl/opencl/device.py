@@ -8,7 +8,7 @@ import tempfile
 import threading
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +21,7 @@ from cloudtomo_cl.opencl import kernel_cache
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.dialect import WORK_GROUP_SIZE, dialect, group_size, keeps_local
 from cloudtomo_cl.opencl.parameters import KERNELS, TURNS, Kernel
-from cloudtomo_cl.opencl.recording import Recording
+from cloudtomo_cl.opencl.recording import Recorder
 from cloudtomo_cl.parallel.ranks import ALONE, Ranks
 
 ENVIRONMENT_VARIABLE = "CLOUDTOMO_DEVICE"
@@ -226,7 +226,7 @@ class Device:
             if part in self.name:
                 warnings.warn(f"device {self.name}: {fault} (`cloudtomo devices` lists them)", RuntimeWarning, 2)
         self.lock = threading.RLock()
-        self._of_thread = threading.local()
+        self._recorder = Recorder()
         self._programs: dict[str, Any] = {}
         self._kernels: dict[tuple[str, str, tuple[str, ...]], Any] = {}
 
@@ -328,9 +328,13 @@ class Device:
         """Copies a buffer from so many bytes on into an array of the host, whose dtype says what it holds."""
         _import_pyopencl().enqueue_copy(self.queue, values, buffer, src_offset=offset)
 
-    def write(self, buffer: Any, values: np.ndarray, offset: int = 0) -> None:
-        """Copies an array of the host into a buffer, from so many bytes on."""
-        _import_pyopencl().enqueue_copy(self.queue, buffer, np.ascontiguousarray(values), dst_offset=offset)
+    def write(self, buffer: Any, values: np.ndarray, offset: int = 0, wait: bool = True) -> Any:
+        """Copies an array of the host into a buffer, from so many bytes on; returns the event.
+
+        Without waiting the values must stay as they are until it has ended, and the event is to be kept so long.
+        """
+        held = np.ascontiguousarray(values)
+        return _import_pyopencl().enqueue_copy(self.queue, buffer, held, dst_offset=offset, is_blocking=wait)
 
     def copied(self, array: DeviceArray) -> np.ndarray:
         """A copy of a large array on the host: of pyopencl's own (`get`) the array on the device keeps hold."""
@@ -393,34 +397,22 @@ class Device:
         with device_errors(f"device {self.name}: launching {kernel.function_name}"), self.lock:
             size, group = (groups * self.group_size,), (self.group_size,)
             offset = (global_offset,) if global_offset else None
-            recording: Recording | None = getattr(self._of_thread, "recording", None)
+            recording = self._recorder.recording
             if recording is not None:
                 values = kernel.arguments(*arguments, **named)
                 return recording.launch(self.queue, kernel, (size, group, offset), values)
             return kernel(self.queue, size, group, *arguments, global_offset=offset, **named)
 
-    @contextmanager
-    def repeated(self, function: Callable[[], None]) -> Iterator[Callable[[], None]]:
-        """A function that launches the same on the same arrays whenever it is called, and does nothing else.
+    def step(self, work: Callable[[], None]) -> None:
+        """Does between launches what is none: where these are repeated, it is done again, too."""
+        self._recorder.step(work)
+
+    def repeated(self, function: Callable[[], None]) -> AbstractContextManager[Callable[[], None]]:
+        """A function that launches the same on the same arrays whenever it is called, and else takes `step`s alone.
 
         Called again, it costs the host a fraction of what it does for the first time: see recording.py.
         """
-        recording = Recording()
-
-        def repeat() -> None:
-            if len(recording):
-                recording.again(self.queue)
-                return
-            self._of_thread.recording = recording
-            try:
-                function()
-            finally:
-                self._of_thread.recording = None
-
-        try:
-            yield repeat
-        finally:
-            recording.close()
+        return self._recorder.repeated(self.queue, function)
 
 
 def choose_device(name: str | int | None = None, communicator: Any = None) -> Device:

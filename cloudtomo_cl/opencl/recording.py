@@ -2,11 +2,14 @@
 
 To convert the arguments of a kernel and to hand them to the driver takes the host several times as long as to launch
 it (docs/decisions/inner-minimisation.md). What an iteration launches on the same arrays is recorded in the first one,
-and made again in the others.
+and made again in the others; with it what several ranks tell each other in between.
 """
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from cloudtomo_cl.opencl.parameters import Kernel
@@ -42,25 +45,71 @@ class Recorded:
 
 
 class Recording:
-    """What one thread has launched, to be launched again (`Device.repeated`)."""
+    """What one thread has launched, and done in between, to be done again."""
 
     def __init__(self) -> None:
         self._launches: list[Recorded] = []
+        # Launches and other steps, in their order; each is given the queue.
+        self._steps: list[Callable[[Any], Any]] = []
 
     def __len__(self) -> int:
-        return len(self._launches)
+        return len(self._steps)
 
     def launch(self, queue: Any, kernel: Kernel, work: Work, values: list[Any]) -> Any:
         """Launches a kernel and keeps it; returns its event."""
-        self._launches.append(Recorded(kernel, work, values))
-        return self._launches[-1](queue)
+        launch = Recorded(kernel, work, values)
+        self._launches.append(launch)
+        self._steps.append(launch)
+        return launch(queue)
+
+    def step(self, work: Callable[[], None]) -> None:
+        """Keeps what is done between two launches."""
+        self._steps.append(lambda _: work())
 
     def again(self, queue: Any) -> None:
-        """Queues all launches again, in their order."""
-        for launch in self._launches:
-            launch(queue)
+        """Queues all launches again, and does what is done in between, in their order."""
+        for step in self._steps:
+            step(queue)
 
     def close(self) -> None:
         """Gives the copies of kernels back."""
+        self._steps.clear()
         while self._launches:
             self._launches.pop().close()
+
+
+class Recorder(threading.local):
+    """What a device's threads record, each its own.
+
+    Attributes
+    ----------
+    recording : that takes down what is launched; none: nothing is recorded
+    """
+
+    recording: Recording | None = None
+
+    def step(self, work: Callable[[], None]) -> None:
+        """See `Device.step`."""
+        if self.recording is not None:
+            self.recording.step(work)
+        work()
+
+    @contextmanager
+    def repeated(self, queue: Any, function: Callable[[], None]) -> Iterator[Callable[[], None]]:
+        """See `Device.repeated`."""
+        recording = Recording()
+
+        def repeat() -> None:
+            if len(recording):
+                recording.again(queue)
+                return
+            self.recording = recording
+            try:
+                function()
+            finally:
+                self.recording = None
+
+        try:
+            yield repeat
+        finally:
+            recording.close()

@@ -134,7 +134,7 @@ VECTOR_KERNELS: dict[str, tuple[str, ...]] = {
     ),
     "sum_patches": (
         "const uint voxel_count",
-        "const __global ushort4 *voxel",
+        "const __global ushort4 *voxel",  # w: whether it is another rank's
         "const int3 shape",
         "const __global ushort *component",
         "const __global float *slope",  # precision times mean, [component][value]

@@ -28,15 +28,15 @@ PRODUCT_FEATURES = (f"FAR_PART {FAR_PART}u", f"WIDTH {COLUMNS_AT_ONCE}u")
 
 
 class ByVoxel(Protocol):
-    """The entries of a near field by columns, of this rank's voxels, as kernels take them.
+    """The entries of a near field by columns, as kernels take them; of voxels of other ranks there are none.
 
     Attributes
     ----------
     shares : which rank has which voxels
-    blocks : this rank's voxel blocks
-    block : of its voxels, among these, on the device
+    blocks : the voxel blocks of this rank's voxels
+    block : of every voxel, among these, on the device; of other ranks' voxels any
     pixel_block : of every pixel, on the device
-    start, rows : of the columns: where they begin, and their entries' pixels
+    start, rows : of all columns: where they begin, and their entries' pixels
     """
 
     shares: Shares
@@ -72,7 +72,7 @@ class _Reordered:
         by_row = scipy.sparse.csr_matrix((np.arange(len(columns), dtype=np.uint32), columns, row_start), shape)
         by_column = by_row.tocsc()
         self._device, self._count = structure.device, len(columns)
-        self.shares = structure.shares.ranks.dealt(structure.voxel_blocks.of)
+        self.shares = structure.voxel_shares
         self.blocks = np.arange(len(structure.voxel_blocks))
         self.block, self.pixel_block = structure.block, structure.pixel_block
         constant = structure.device.constant
@@ -96,11 +96,13 @@ class _Exchanged:
 
     def __init__(self, structure: NearField, row_start: np.ndarray, columns: np.ndarray) -> None:
         self._ranks, self._device = structure.shares.ranks, structure.device
-        self.shares = self._ranks.dealt(structure.voxel_blocks.of)
+        self.shares = structure.voxel_shares
         assert self.shares.owner is not None
-        self.blocks, block = np.unique(self.shares.taken(structure.voxel_blocks.of), return_inverse=True)
+        own_blocks = self.shares.taken(structure.voxel_blocks.of)
+        block = np.zeros(structure.voxels, np.int32)
+        self.blocks, block[self.shares.own] = np.unique(own_blocks, return_inverse=True)
         constant = self._device.constant
-        self.block = constant(block.astype(np.int32))
+        self.block = constant(block)
         self.pixel_block = constant(structure.pixel_blocks.of.astype(np.uint32))
         # In the order of pixels and slots, for every rank: so all have it.
         owner = self.shares.owner[columns]
@@ -112,7 +114,7 @@ class _Exchanged:
         column, row = self._exchanged(columns), self._exchanged(rows)
         del owner, rows
         self._place = np.lexsort((row, column)).astype(np.uint32)
-        counts = np.bincount(column, minlength=structure.voxels)[self.shares.own]
+        counts = np.bincount(column, minlength=structure.voxels)
         del column
         self.start = constant(np.concatenate([[0], np.cumsum(counts)]).astype(np.uint32))
         self.rows = constant(row[self._place].astype(np.uint32))

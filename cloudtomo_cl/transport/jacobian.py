@@ -1,11 +1,11 @@
 """Derivatives of pixels with respect to voxels: a sparse near field, a far field by blocks, and products with both.
 
-Of several ranks each makes the rows of its pixels, and products with the columns of its voxels (by_voxel.py).
+Of several ranks each makes the rows of its pixels, and products with the columns of its voxels (by_voxel.py): those
+with the transpose are each rank's own numbers, which whoever adds to them hands out (`Gathering`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from scipy.sparse.linalg import LinearOperator
 from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, device_errors
+from cloudtomo_cl.opencl.gathering import Gathering
 from cloudtomo_cl.opencl.layout import DERIVATIVE_UNIT, TILE_WIDTH
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.parallel.ranks import Shares
@@ -21,6 +22,7 @@ from cloudtomo_cl.transport.by_voxel import COLUMNS_AT_ONCE, FAR_PART, PRODUCT_F
 from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.near_field import MOST_PAIRS, Blocks, pixel_blocks, tiles_of, voxel_blocks
 from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering
+from cloudtomo_cl.transport.voxel_shares import voxel_shares
 
 # Slots of tiles whose sums are made at a time; a CPU is busy with fewer paths, and they take memory.
 _SLOTS_AT_ONCE, _SLOTS_ON_CPU = 1 << 24, 1 << 20
@@ -43,6 +45,7 @@ class NearField:
     entries : of the near field
     row_blocks : its pixel blocks
     by_voxel : the entries by columns
+    voxel_shares : which rank has which of these
     """
 
     @device_errors("the structure of the derivatives")
@@ -52,6 +55,7 @@ class NearField:
         self.scene_struct = operator.scene_struct
         self.pixels, self.voxels = len(operator.pixels), int(operator.mask.sum())
         self.shares = operator.shares
+        self.voxel_shares = voxel_shares(operator.mask, self.device.ranks)
         self.rows = len(self.shares)
         tiles = tiles_of(operator.views, self.shares.taken(operator.pixels), operator.scene, operator.mask)
         slots = tiles["slabs"].astype(np.int64) * TILE_WIDTH**2
@@ -121,17 +125,23 @@ class Jacobian(LinearOperator):
         self._structure, self._near, self._far = structure, near, far
         self._near_by_voxel, self._far_by_voxel = by_voxel
         self._buffers: dict[Any, Any] = {}
+        self._of_pixels = Gathering(structure.device, structure.shares)
+        self._of_voxels = Gathering(structure.device, structure.voxel_shares)
 
     @property
-    def launches_alone(self) -> bool:
-        """Whether products on the device are launches and nothing else: of one rank, once buffers are made."""
-        return self._structure.shares.owner is None
+    def voxel_shares(self) -> Shares:
+        """Which rank makes which numbers of a product with the transpose."""
+        return self._structure.voxel_shares
 
     def _matvec(self, x: np.ndarray) -> np.ndarray:
         return self._of_host(self.times, x, self.shape[0])
 
     def _rmatvec(self, y: np.ndarray) -> np.ndarray:
-        return self._of_host(self.transposed, y, self.shape[1])
+        def transposed(given: DeviceArray, result: DeviceArray) -> None:
+            self.transposed(given, result)
+            self._of_voxels.complete(result)
+
+        return self._of_host(transposed, y, self.shape[1])
 
     def _of_host(self, product: Any, vector: np.ndarray, length: int) -> np.ndarray:
         """A product with a vector of the host."""
@@ -155,14 +165,11 @@ class Jacobian(LinearOperator):
         given, result = self._array("given", structure.pixels), self._array("result", structure.voxels)
         given.set(np.ascontiguousarray(weights, np.float32))
         far = self._far_transposed(given, squares=True)
-
-        def of_own(target: DeviceArray) -> None:
-            self._launch(
-                "jacobian_curvature", len(own.shares), **self._by_column, pixel_block=own.pixel_block,
-                block_count=len(own.blocks), far=self._far_by_voxel, of_blocks=far, y=given, result=target,
-            )  # fmt: skip
-
-        self._gathered(own.shares, of_own, result)
+        self._launch(
+            "jacobian_curvature", structure.voxels, **self._by_column, pixel_block=own.pixel_block,
+            block_count=len(own.blocks), far=self._far_by_voxel, of_blocks=far, y=given, result=result,
+        )  # fmt: skip
+        self._of_voxels.complete(result)
         return result.get().astype(float)
 
     @device_errors("a product with the derivatives")
@@ -173,25 +180,23 @@ class Jacobian(LinearOperator):
         sums = self._sum_members("voxels", blocks, x)
         counts = {"pixel_block_count": rows, "block_count": len(blocks)}
         far = self._in_parts("far_times", len(blocks), rows, rows, **counts, far=self._far, x=sums)
-
-        def of_own(target: DeviceArray) -> None:
-            self._launch(
-                "jacobian_times", own.rows, pixel_count=own.rows, row_start=own.row_start, columns=own.columns,
-                values=self._near, pixel_block=own.pixel_block, of_blocks=far, x=x, result=target,
-            )  # fmt: skip
-
-        self._gathered(own.shares, of_own, result)
+        part = result if own.shares.owner is None else self._array("part", own.rows)
+        self._launch(
+            "jacobian_times", own.rows, pixel_count=own.rows, row_start=own.row_start, columns=own.columns,
+            values=self._near, pixel_block=own.pixel_block, of_blocks=far, x=x, result=part,
+        )  # fmt: skip
+        self._of_pixels.join(part, result)
 
     @device_errors("a product with the derivatives")
     def transposed(self, y: DeviceArray, result: DeviceArray) -> None:
-        """Makes `result`, shape (voxels,), J^T y; both on the device, float32."""
-        own = self._structure.by_voxel
+        """Makes `result`, shape (voxels,), J^T y; both on the device, float32.
+
+        Of several ranks each makes the numbers of its voxels (`voxel_shares`); the others' are any.
+        """
         far = self._far_transposed(y, squares=False)
-
-        def of_own(target: DeviceArray) -> None:
-            self._launch("jacobian_transposed", len(own.shares), **self._by_column, of_blocks=far, y=y, result=target)
-
-        self._gathered(own.shares, of_own, result)
+        self._launch(
+            "jacobian_transposed", self._structure.voxels, **self._by_column, of_blocks=far, y=y, result=result
+        )
 
     def _far_transposed(self, y: DeviceArray, squares: bool) -> DeviceArray:
         """The far field's part for this rank's blocks of voxels."""
@@ -208,18 +213,9 @@ class Jacobian(LinearOperator):
         """The near field as kernels take it that go through its columns."""
         own = self._structure.by_voxel
         return {
-            "voxel_count": len(own.shares), "column_start": own.start, "rows": own.rows,
+            "voxel_count": self._structure.voxels, "column_start": own.start, "rows": own.rows,
             "values": self._near_by_voxel, "block": own.block,
         }  # fmt: skip
-
-    def _gathered(self, shares: Shares, made: Callable[[DeviceArray], None], result: DeviceArray) -> None:
-        """Has all ranks' parts of a result made: each into an array of its own, and one rank in place."""
-        if shares.owner is None:
-            made(result)
-            return
-        part = self._array("part", len(shares))
-        made(part)
-        result.set(shares.gathered(part.get()[: len(shares)]))
 
     def _sum_members(self, name: str, blocks: Blocks, given: DeviceArray) -> DeviceArray:
         """The sums of a vector over the members of blocks."""

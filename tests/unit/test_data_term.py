@@ -13,6 +13,8 @@ PIXELS, VOXELS, VIEWS = 300, 30, 3
 class Dense:
     """What the data term uses of a Jacobian, of an array."""
 
+    voxel_shares = None
+
     def __init__(self, values):
         self.values = values.astype(np.float32)
 

@@ -216,6 +216,13 @@ def test_a_steps_function_is_that_of_its_patches(random, device, shape, size):
     assert step.value_and_gradient(other)[0] == pytest.approx(costs[chosen, np.arange(len(chosen))].sum(), rel=1e-4)
 
 
+def test_no_change_has_the_product_that_kernels_make_of_it(voxels, mixture, cloud, device):
+    """Zeros, none of them negative: nobody asks kernels for it."""
+    step = PatchQuadratic(PatchOperator(Patches(voxels, mixture.size), mixture, device), cloud, NOISE)
+    nothing = np.zeros(len(cloud))
+    assert step.times(nothing).tobytes() == step._product(nothing, means=0.0).tobytes()
+
+
 def test_what_was_chosen_before_changes_nothing(voxels, mixture, cloud, device, random):
     operator = PatchOperator(Patches(voxels, SIZE), mixture, device)
     first = PatchQuadratic(operator, cloud / 20, NOISE)

@@ -78,6 +78,23 @@ def test_two_may_be_repeated_in_turn(device, vectors):
     np.testing.assert_array_equal(second.get(), 9)
 
 
+def test_steps_between_launches_are_taken_again_in_their_place(device, vectors, random):
+    x, result, seen = random.random(COUNT).astype(np.float32), vectors.zeros(), []
+    given = vectors.of(x)
+
+    def work():
+        vectors.add(1.0, given, result)
+        device.step(lambda: seen.append(result.get()))
+        vectors.add(1.0, given, result)
+
+    with device.repeated(work) as again:
+        for _ in range(3):
+            again()
+    np.testing.assert_allclose(seen, [x, 3 * x, 5 * x], rtol=1e-6)
+    device.step(lambda: seen.append(None))
+    assert len(seen) == 4
+
+
 def test_what_fails_is_recorded_no_further(device, vectors):
     result = vectors.zeros()
     with device.repeated(lambda: vectors.add(1.0, None, result)) as again, pytest.raises(TypeError):
@@ -91,8 +108,8 @@ class Diagonal:
 
     quadratic = True
 
-    def __init__(self, vectors, diagonal, slope, launches_alone):
-        self.vectors, self.launches_alone = vectors, launches_alone
+    def __init__(self, vectors, diagonal, slope, repeatable):
+        self.vectors, self.repeatable = vectors, repeatable
         self.diagonal, self.slope, self.zeros = vectors.of(diagonal), vectors.of(slope), vectors.zeros()
 
     def add_gradient(self, x, result):
@@ -108,8 +125,8 @@ def test_minima_are_the_same_with_and_without(device, vectors, random, iteration
     """To the bit."""
     diagonal, slope = np.exp(0.5 * random.normal(size=COUNT)), random.normal(size=COUNT)
     found = [
-        minimised([Diagonal(vectors, diagonal, slope, alone)], np.ones(COUNT), np.ones(COUNT), iterations, device)
-        for alone in (False, True)
+        minimised([Diagonal(vectors, diagonal, slope, repeatable)], np.ones(COUNT), np.ones(COUNT), iterations, device)
+        for repeatable in (False, True)
     ]
     np.testing.assert_array_equal(*found)
     if iterations == 30:
