@@ -8,7 +8,6 @@ import numpy as np
 
 from cloudtomo_cl.inversion.bound_prior import NoiseUnits
 from cloudtomo_cl.inversion.conjugate_gradients import minimised
-from cloudtomo_cl.inversion.haze import without_haze
 from cloudtomo_cl.inversion.mass import give_back
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
@@ -73,15 +72,14 @@ def annealed(inner: InnerProblem, start: np.ndarray) -> np.ndarray:
     Begun at the last minimum, such a prior chooses what makes that likelier still, and every choice makes the cloud
     smoother. So each step begins with a weak prior, whose choice the images decide; and its weight rises to 1 while it
     chooses again and again (deterministic annealing: Rose 1998; a rising coupling does the same in Zoran and Weiss
-    2011). It begins at the last cloud with no voxel clear: what the images do not say stays about what it was. In the
-    end haze beside the cloud goes (`haze`).
+    2011). It begins at the last cloud with no voxel clear: what the images do not say stays about what it was.
 
     start : km^-1, shape (voxels,)
     """
     extinction = np.maximum(start, _FLOOR * mean_extinction(start))
     for share in _SHARES:
         extinction = inner.least(extinction, share, _EACH)
-    return without_haze(extinction, inner.problem.voxels)
+    return extinction
 
 
 def rescaled(inner: InnerProblem, start: np.ndarray) -> np.ndarray:

@@ -6,8 +6,9 @@ import numpy as np
 
 from cloudtomo_cl.inversion.voxels import Voxels
 
-# Less than this share of the mean extinction of the cloud around it is haze (docs/decisions/haze.md).
-_SHARE = 0.1
+# Less than this share of the mean extinction of the cloud around it is haze: about what values of a clear patch differ
+# by, 0.02 and the patches' noise of 0.03 (docs/decisions/haze.md).
+_SHARE = 0.04
 # Around a voxel are those that share a patch of 5 x 5 x 3 with it.
 _AROUND = (9, 9, 5)
 
@@ -16,8 +17,9 @@ def without_haze(extinction: np.ndarray, voxels: Voxels) -> np.ndarray:
     """The extinction with voxels that are thin beside those around them made clear, km^-1, shape (voxels,).
 
     Images hardly tell a sharp edge of a cloud from one with some haze before it, and Gaussians know no sharp edges: a
-    fifth of a recovery's error was in voxels that are clear. The measure is the mean extinction of the cloud around
-    each voxel, s = sum b^2 / sum b, so that a thin cloud stays where no dense one is near.
+    fifth of a recovery's error was in voxels that are clear. What goes, the next step gives to voxels where images miss
+    it. The measure is the mean extinction of the cloud around each voxel, s = sum b^2 / sum b, so that a thin cloud
+    stays where no dense one is near.
 
     Parameters
     ----------

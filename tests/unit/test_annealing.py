@@ -39,8 +39,7 @@ def sums_of_pairs(lines):
 
 def inner_problem(device, data):
     voxels = ct.Voxels(GRID, np.ones(GRID.shape, bool))
-    prior = bound_prior(PatchPrior(), voxels, device)
-    problem = SimpleNamespace(prior=prior, operator=SimpleNamespace(device=device), voxels=voxels)
+    problem = SimpleNamespace(prior=bound_prior(PatchPrior(), voxels, device), operator=SimpleNamespace(device=device))
     stiffness = data.weights @ data.jacobian**2
     return InnerProblem(
         problem, data, stiffness, NoiseUnits(1.0, 1.0), np.full(len(stiffness), np.inf), 0.5, ITERATIONS

@@ -17,6 +17,7 @@ from cloudtomo_cl.blas import with_one_blas_thread
 from cloudtomo_cl.inversion.annealing import InnerProblem, annealed, rescaled
 from cloudtomo_cl.inversion.bound_prior import FrozenPrior
 from cloudtomo_cl.inversion.data_term import DataTerm, Force
+from cloudtomo_cl.inversion.haze import without_haze
 from cloudtomo_cl.inversion.jacobian_average import JacobianAverage
 from cloudtomo_cl.inversion.mass import PAIRS, give_back, is_due, share_that_keeps_mass
 from cloudtomo_cl.inversion.noisy_model import NoisyModel
@@ -231,6 +232,8 @@ class GaussNewton:
             inner, state = replace(inner, returned=share), replace(state, returned=share)
         value = inner.prior_value(state.extinction)
         extinction = minimum(inner, state.extinction)
+        if anneals:
+            extinction = without_haze(extinction, problem.voxels)
         predicted = jacobian @ (extinction - state.extinction)
         motions = calibration.motions(misfit + predicted, state.image)
         predicted = predicted + calibration.change(motions - state.motions)
