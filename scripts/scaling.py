@@ -270,6 +270,8 @@ class Assumptions:
 
 # Bytes of the prior's stencil for a voxel, of scene C.
 STENCIL = 2450
+# Paths for derivatives, for each pixel at most.
+PATHS_OF_PIXEL = 180
 # Of an H200, on grids of so many voxels: paths per second of derivatives, photons per second.
 GRIDS = (38**3, 64**3, 128**3)
 DERIVATIVES, PHOTONS = (2.5e7, 1.2e7, 6.0e6), (9.3e8, 1.1e9, 6.8e8)
@@ -315,13 +317,14 @@ def predicted(size: Size, measured: dict[str, Any], ranks: int, given: Assumptio
     grown = size.voxels / measured["voxels"]
     entries, cells = 25 * size.slabs * size.pixels, measured["cells"] * grown
     table, stencil = 8 * measured["bins"] * cells, STENCIL * size.voxels
-    paths = measured["paths"] * grown / 6  # of derivatives; of images five times as many
+    paths = min(measured["paths"] * grown, PATHS_OF_PIXEL * size.pixels)  # of derivatives, and images
     products, of_prior = measured["products"], measured["prior"]
     hops, several = float(np.ceil(np.log2(ranks))), (ranks - 1) / ranks
     traffic = (products * 12 * entries + of_prior * stencil) / given.memory
-    vectors = 4 * (products / 2 * (size.pixels + size.voxels) + of_prior * size.voxels)
-    messages = (products + of_prior) * (ranks > 1)
-    walked = paths / size.rate(DERIVATIVES) + 5 * paths * size.path / given.image + paths / size.rate(PHOTONS)
+    # The prior's part of a product goes with that of the transpose.
+    vectors = 4 * products / 2 * (size.pixels + size.voxels)
+    messages = products * (ranks > 1)
+    walked = paths / size.rate(DERIVATIVES) + paths * size.path / given.image + paths / size.rate(PHOTONS)
     seconds = {
         "paths": walked / ranks / given.balance if ranks > 1 else walked,
         "steps": given.steps + traffic / ranks,
