@@ -7,6 +7,7 @@ import pytest
 
 import cloudtomo_cl as ct
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.inversion.haze import without_haze
 from cloudtomo_cl.inversion.solvers.gauss_newton import trusted
 
 GRID = ct.Grid(shape=(6, 5, 7), spacing=(0.1, 0.1, 0.08))
@@ -296,6 +297,26 @@ def test_the_prior_counts_for_more_in_deep_clouds(scene, problem, device, truth,
     solver.step(problem, solver.init(problem, cloud[problem.mask].astype(float)), seed=2, stream=1)
     depth = np.sum(cloud**2) / np.sum(cloud) * problem.grid.mean_chord
     assert weights[-1] == pytest.approx(1 + (depth / 3) ** 2, rel=1e-5)
+
+
+def test_haze_goes_in_steps_but_not_in_simulated_recoveries(problem, truth, monkeypatch):
+    """Else these would lose what a cloud without haze gets of it, and too much of the mass be given back."""
+    hazy = truth[problem.mask].astype(float)
+    hazy[np.argmin(hazy)] = 1e-4 * hazy.mean()
+    simulated = []
+
+    def share_that_keeps_mass(recovered, extinction, noise):
+        simulated.append(recovered(noise[:, 0], 0.0))
+        return 0.0
+
+    of_solver = "cloudtomo_cl.inversion.solvers.gauss_newton."
+    monkeypatch.setattr(of_solver + "annealed", lambda inner, start: hazy)
+    monkeypatch.setattr(of_solver + "share_that_keeps_mass", share_that_keeps_mass)
+    solver = ct.GaussNewton(image_samples=1)
+    state, _ = solver.step(problem, solver.init(problem, truth[problem.mask].astype(float)), seed=2, stream=1)
+    np.testing.assert_array_equal(simulated[0], hazy)
+    np.testing.assert_array_equal(state.extinction, without_haze(hazy, problem.voxels))
+    assert state.extinction[np.argmin(hazy)] == 0
 
 
 def test_old_names_are_answered_with_the_new(scene, measurements, device):
