@@ -270,8 +270,6 @@ class Assumptions:
 
 # Bytes of the prior's stencil for a voxel, of scene C.
 STENCIL = 2450
-# Paths for derivatives, for each pixel at most.
-PATHS_OF_PIXEL = 180
 # Of an H200, on grids of so many voxels: paths per second of derivatives, photons per second.
 GRIDS = (38**3, 64**3, 128**3)
 DERIVATIVES, PHOTONS = (2.5e7, 1.2e7, 6.0e6), (9.3e8, 1.1e9, 6.8e8)
@@ -314,10 +312,13 @@ def sizes(measured: dict[str, Any]) -> list[Size]:
 
 def predicted(size: Size, measured: dict[str, Any], ranks: int, given: Assumptions) -> dict[str, float]:
     """Seconds of an iteration, by kind, and GB on a rank and sent by it."""
+    from cloudtomo_cl.inversion.problem import PATHS_PER_VOXEL, VOXELS_PER_PIXEL
+
     grown = size.voxels / measured["voxels"]
     entries, cells = 25 * size.slabs * size.pixels, measured["cells"] * grown
     table, stencil = 8 * measured["bins"] * cells, STENCIL * size.voxels
-    paths = min(measured["paths"] * grown, PATHS_OF_PIXEL * size.pixels)  # of derivatives, and images
+    # Of derivatives, and images.
+    paths = min(measured["paths"] * grown, PATHS_PER_VOXEL * VOXELS_PER_PIXEL * size.pixels)
     products, of_prior = measured["products"], measured["prior"]
     hops, several = float(np.ceil(np.log2(ranks))), (ranks - 1) / ranks
     traffic = (products * 12 * entries + of_prior * stencil) / given.memory

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 # Paths that derivatives are made of, for each voxel of the mask, and the least of all. More voxels for a pixel than so
 # many are no reason for more paths.
-_PATHS_PER_VOXEL = 90
-_VOXELS_PER_PIXEL = 2
+PATHS_PER_VOXEL = 90
+VOXELS_PER_PIXEL = 2
 _LEAST_PATHS = 50_000
 
 
@@ -136,8 +136,8 @@ class Problem:
     @property
     def default_samples(self) -> int:
         """Paths per pixel that derivatives are made of, where nobody says."""
-        voxels = min(len(self.voxels), _VOXELS_PER_PIXEL * len(self.active))
-        return max(2, 2 * round(max(_PATHS_PER_VOXEL * voxels, _LEAST_PATHS) / len(self.active) / 2))
+        voxels = min(len(self.voxels), VOXELS_PER_PIXEL * len(self.active))
+        return max(2, 2 * round(max(PATHS_PER_VOXEL * voxels, _LEAST_PATHS) / len(self.active) / 2))
 
     def with_motions(self, motions: np.ndarray) -> Problem:
         """The same problem, of views after small motions (`scene.pointing`), shape (views, 3)."""
