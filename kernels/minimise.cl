@@ -31,12 +31,12 @@ __kernel void next_change(NEXT_CHANGE_PARAMETERS)
     const uint index = get_global_id(0);
     if (index >= count)
         return;
-    const float along = descent->conjugation * change[index] - scale[index] * gradient[index];
-    change[index] = clamp(x[index] + descent->length * along, 0.0f, upper[index]) - x[index];
+    const float along = state->conjugation * change[index] - inverse_diagonal[index] * gradient[index];
+    change[index] = clamp(x[index] + state->length * along, 0.0f, upper[index]) - x[index];
     product[index] = 0.0f;
 }
 
-/* gradient . change, change . image, and how many times as far a change can go until it meets a bound. */
+/* gradient . change, change . Hessian change, and how many times as far a change can go until it meets a bound. */
 __kernel void sums_of_change(SUMS_OF_CHANGE_PARAMETERS)
 {
     const uint part = get_global_id(0);
@@ -44,13 +44,13 @@ __kernel void sums_of_change(SUMS_OF_CHANGE_PARAMETERS)
         return;
     float slopes = 0.0f, curvatures = 0.0f, least = INFINITY;
     for (uint index = part; index < count; index += PARTS) {
-        const float own = change[index];
-        slopes += gradient[index] * own;
-        curvatures += own * image[index];
-        if (own < 0.0f)
-            least = fmin(least, x[index] / -own);
-        else if (own > 0.0f)
-            least = fmin(least, (upper[index] - x[index]) / own);
+        const float moved = change[index];
+        slopes += gradient[index] * moved;
+        curvatures += moved * hessian_change[index];
+        if (moved < 0.0f)
+            least = fmin(least, x[index] / -moved);
+        else if (moved > 0.0f)
+            least = fmin(least, (upper[index] - x[index]) / moved);
     }
     sums[part] = slopes;
     sums[PARTS + part] = curvatures;
@@ -59,28 +59,28 @@ __kernel void sums_of_change(SUMS_OF_CHANGE_PARAMETERS)
 
 /* How much of a change is taken, and how long the next one should be. A change that leads up is not: the next direction
  * is that of the gradient alone, and if it was, or the function falls for ever, this is the end. */
-inline void choose(__global Descent *descent, float slope, float curvature, float farthest, float longest,
+inline void choose(__global Minimisation *state, float slope, float curvature, float farthest, float longest,
                    int most_steps, float tolerance)
 {
     const float best = curvature > 0.0f ? -slope / curvature : INFINITY;
     const float taken = fmin(fmin(best, farthest), longest);
-    const bool leads_up = slope >= 0.0f && descent->conjugation > 0.0f;
-    descent->conjugation = 0.0f;
-    descent->curvature = curvature;
-    descent->taken = 0.0f;
+    const bool leads_up = slope >= 0.0f && state->conjugation > 0.0f;
+    state->conjugation = 0.0f;
+    state->curvature = curvature;
+    state->taken = 0.0f;
     if (leads_up)
         return;
     if (!(slope < 0.0f && taken < INFINITY)) {
-        descent->ended = 1;
+        state->ended = 1;
         return;
     }
     const float gain = -taken * (slope + 0.5f * taken * curvature);
-    descent->taken = taken;
-    descent->gained += gain;
-    descent->steps += 1;
-    descent->poor = gain <= tolerance * descent->gained ? descent->poor + 1 : 0;
-    descent->ended = descent->poor == PATIENCE || descent->steps == most_steps;
-    descent->length *= fmin(fmax(AIM * best, 1.0f / LARGEST_CHANGE), LARGEST_CHANGE);
+    state->taken = taken;
+    state->gained += gain;
+    state->steps += 1;
+    state->poor = gain <= tolerance * state->gained ? state->poor + 1 : 0;
+    state->ended = state->poor == PATIENCE || state->steps == most_steps;
+    state->length *= fmin(fmax(AIM * best, 1.0f / LARGEST_CHANGE), LARGEST_CHANGE);
 }
 
 __kernel void choose_step(CHOOSE_STEP_PARAMETERS)
@@ -103,24 +103,24 @@ __kernel void choose_step(CHOOSE_STEP_PARAMETERS)
         curvature += curvatures[lane];
         farthest = fmin(farthest, leasts[lane]);
     }
-    if (descent->ended)
-        descent->taken = 0.0f;
+    if (state->ended)
+        state->taken = 0.0f;
     else
-        choose(descent, slope, curvature, farthest, longest, most_steps, tolerance);
+        choose(state, slope, curvature, farthest, longest, most_steps, tolerance);
 }
 
 /* x + so many times the change, and its gradient, if that is linear. */
 __kernel void take_step(TAKE_STEP_PARAMETERS)
 {
     const uint index = get_global_id(0);
-    const float taken = descent->taken;
+    const float taken = state->taken;
     if (index >= count || !(taken > 0.0f))
         return;
     x[index] = clamp(x[index] + taken * change[index], 0.0f, upper[index]);
-    gradient[index] += taken * image[index];
+    gradient[index] += taken * hessian_change[index];
 }
 
-/* The scaled negative gradient of what is free, times the last change's image: how far it is from conjugate. */
+/* The scaled negative gradient of what is free, times the Hessian's product with the last change: how far it is from conjugate. */
 __kernel void sums_of_gradient(SUMS_OF_GRADIENT_PARAMETERS)
 {
     const uint part = get_global_id(0);
@@ -129,7 +129,7 @@ __kernel void sums_of_gradient(SUMS_OF_GRADIENT_PARAMETERS)
     float along = 0.0f;
     for (uint index = part; index < count; index += PARTS)
         if (is_free(x[index], upper[index], gradient[index]))
-            along -= scale[index] * gradient[index] * image[index];
+            along -= inverse_diagonal[index] * gradient[index] * hessian_change[index];
     sums[part] = along;
 }
 
@@ -145,8 +145,8 @@ __kernel void choose_conjugation(CHOOSE_CONJUGATION_PARAMETERS)
     float along = 0.0f;
     for (uint lane = 0u; lane < LANES; ++lane)
         along += lanes[lane];
-    if (descent->taken > 0.0f && descent->curvature > 0.0f)
-        descent->conjugation = fmax(-along / descent->curvature, 0.0f);
+    if (state->taken > 0.0f && state->curvature > 0.0f)
+        state->conjugation = fmax(-along / state->curvature, 0.0f);
 }
 
 /* result += factor x. */
@@ -180,12 +180,12 @@ __kernel void find_change(FIND_CHANGE_PARAMETERS)
         result[index] = x[index] - start[index];
 }
 
-/* Adds a data term's slope: the transposed Jacobian's, and that of the damping. */
+/* Adds a data term's gradient: the transposed Jacobian's, and that of the damping. */
 __kernel void add_damped(ADD_DAMPED_PARAMETERS)
 {
     const uint index = get_global_id(0);
     if (index < count)
-        result[index] += transposed[index] + stiffness[index] * change[index];
+        result[index] += transposed[index] + damping[index] * change[index];
 }
 
 /* Of each part of a view's pixels the sums of residuals times the weighted basis, [part][basis]. */

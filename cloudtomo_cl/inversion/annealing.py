@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cloudtomo_cl.inversion.bound_prior import NoiseUnits
 from cloudtomo_cl.inversion.conjugate_gradients import minimised
-from cloudtomo_cl.inversion.mass import give_back
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
+from cloudtomo_cl.inversion.stage_prior import NoiseUnits
 from cloudtomo_cl.inversion.terms import Term, term_of
 
 # Shares of the weight of a prior that chooses, one minimised with after the other (docs/decisions/patch-prior.md).
@@ -31,39 +30,38 @@ class InnerProblem:
     ----------
     problem : whose prior and device
     data : with the step's damping
-    stiffness : about the diagonal of its second derivative, positive, shape (voxels,)
+    hessian_diagonal : about the diagonal of its second derivative, positive, shape (voxels,)
     units : what the prior is multiplied with
     upper : bound of the extinction, km^-1, shape (voxels,): as far as the linear model is trusted
-    returned : share of the prior's pull on the mass that is taken back (`mass`)
+    mass_share : of the prior's pull on the mass, which is taken back (`mass`)
     iterations : of conjugate gradients, at most
     iteration : of the stage, counted from 0
     """
 
     problem: Problem
     data: Term
-    stiffness: np.ndarray
+    hessian_diagonal: np.ndarray
     units: NoiseUnits
     upper: np.ndarray
-    returned: float
+    mass_share: float
     iterations: int
     iteration: int | None = None
 
     def prior_value(self, extinction: np.ndarray) -> float:
         """That of the prior as it stands there."""
-        prior = self.problem.prior.frozen(extinction, self.iteration)
-        give_back(prior, extinction, self.returned)
+        prior = self.problem.prior.frozen(extinction, self.iteration, self.mass_share)
         return prior.value_and_gradient(extinction, self.units)[0]
 
     def least(self, begin: np.ndarray, share: float = 1.0, of_iterations: float = 1.0) -> np.ndarray:
         """The minimum, begun where the prior is chosen, with a share of its weight and of the iterations."""
         begin = np.minimum(begin, self.upper)
-        device, prior = self.problem.operator.device, self.problem.prior.frozen(begin, self.iteration)
-        give_back(prior, begin, self.returned)
+        device = self.problem.operator.device
+        prior = self.problem.prior.frozen(begin, self.iteration, self.mass_share)
         units = replace(self.units, weight=share * self.units.weight)
-        stiffness = self.stiffness + prior.curvature(begin, units)
+        hessian_diagonal = self.hessian_diagonal + prior.curvature(begin, units)
         iterations = max(1, round(of_iterations * self.iterations))
         terms = [self.data, term_of(prior, units, device)]
-        return minimised(terms, begin, stiffness, iterations, device, upper=self.upper)
+        return minimised(terms, begin, hessian_diagonal, iterations, device, upper=self.upper)
 
 
 def annealed(inner: InnerProblem, start: np.ndarray) -> np.ndarray:
@@ -83,7 +81,7 @@ def annealed(inner: InnerProblem, start: np.ndarray) -> np.ndarray:
 
 
 def rescaled(inner: InnerProblem, start: np.ndarray) -> np.ndarray:
-    """From the last minimum. A prior that measures a cloud by its own extinction has the start's: that may be far off.
+    """From the last minimum, and again whenever the cloud's mean extinction, by which the prior is scaled, has changed.
 
     start : km^-1, shape (voxels,)
     """

@@ -107,38 +107,42 @@ class Calibration:
             return np.zeros((len(self._weights), 0)), np.zeros((0, 0))
         basis = self._basis(modelled)
         views, count = self._errors.shape
-        forces = np.eye(views * count).reshape(-1, views, count)
-        stiffness = self._stiffness(basis)
-        return basis, np.array([self._factors(stiffness, force).ravel() for force in forces]).T
+        right_hand_sides = np.eye(views * count).reshape(-1, views, count)
+        normal_matrix = self._normal_matrix(basis)
+        return basis, np.array(
+            [self._factors(normal_matrix, right_hand_side).ravel() for right_hand_side in right_hand_sides]
+        ).T
 
     def _fitted(self, basis: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """Factors of the basis that are taken out of each view, shape (views, 1 or 4)."""
         views, count = self._errors.shape
         weighted = self._weights[:, None] * basis
-        force = np.column_stack([np.bincount(self.view, weighted[:, i] * residual, views) for i in range(count)])
-        return self._factors(self._stiffness(basis), force)
+        right_hand_side = np.column_stack(
+            [np.bincount(self.view, weighted[:, i] * residual, views) for i in range(count)]
+        )
+        return self._factors(self._normal_matrix(basis), right_hand_side)
 
-    def _stiffness(self, basis: np.ndarray) -> np.ndarray:
+    def _normal_matrix(self, basis: np.ndarray) -> np.ndarray:
         """B^T W B and what holds gains and motions, of each view."""
         views, count = self._errors.shape
         weighted = self._weights[:, None] * basis
-        stiffness = np.zeros((views, count, count))
+        normal_matrix = np.zeros((views, count, count))
         for i in range(count):
             for j in range(count):
-                stiffness[:, i, j] = np.bincount(self.view, weighted[:, i] * basis[:, j], views)
-        return stiffness + np.eye(count) * self._held[:, None, :]
+                normal_matrix[:, i, j] = np.bincount(self.view, weighted[:, i] * basis[:, j], views)
+        return normal_matrix + np.eye(count) * self._held[:, None, :]
 
-    def _factors(self, stiffness: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """Those that a force, B^T W r, has, shape (views, 1 or 4)."""
+    def _factors(self, normal_matrix: np.ndarray, right_hand_side: np.ndarray) -> np.ndarray:
+        """Those that a right-hand side, B^T W r, has, shape (views, 1 or 4)."""
         views, count = self._errors.shape
         free = ~self._exact
         # What is exact has no part: its row and column are those of the unit matrix.
-        stiffness = np.where(free[:, :, None] & free[:, None, :], stiffness, np.eye(count))
-        force = np.where(free, force, 0.0)
-        factors = np.linalg.solve(stiffness, force[..., None])[..., 0]
+        normal_matrix = np.where(free[:, :, None] & free[:, None, :], normal_matrix, np.eye(count))
+        right_hand_side = np.where(free, right_hand_side, 0.0)
+        factors = np.linalg.solve(normal_matrix, right_hand_side[..., None])[..., 0]
         if self._share is not None:
             unit = np.zeros((views, count))
             unit[:, 0] = self._share
-            back = np.linalg.solve(stiffness, unit[..., None])[..., 0]
+            back = np.linalg.solve(normal_matrix, unit[..., None])[..., 0]
             factors -= back * (self._share @ factors[:, 0]) / (self._share @ back[:, 0])
         return factors

@@ -28,7 +28,7 @@ from cloudtomo_cl.parallel.ranks import ALONE, Ranks
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
 
-FORMAT = 8
+FORMAT = 9
 _DIGEST = "sha256:"
 # Lists longer than this are kept as a digest.
 _LONG = 32

@@ -27,7 +27,7 @@ _EXTRAPOLATION = 2.0
 def minimised(
     terms: Sequence[Term],
     start: np.ndarray,
-    stiffness: np.ndarray,
+    hessian_diagonal: np.ndarray,
     iterations: int,
     device: Device,
     tolerance: float = TOLERANCE,
@@ -45,7 +45,7 @@ def minimised(
     ----------
     terms : convex, or nearly so
     start : shape (unknowns,), within the bounds
-    stiffness : about the second derivative's diagonal, positive, shape (unknowns,)
+    hessian_diagonal : about the second derivative's diagonal, positive, shape (unknowns,)
     iterations : at most, at least 1
     device : where to compute
     tolerance : share of all that was gained that two iterations in a row gain in the end
@@ -55,14 +55,24 @@ def minimised(
     -------
     shape (unknowns,), float64
     """
-    return _Descent(terms, start, stiffness, np.inf if upper is None else upper, device).run(iterations, tolerance)
+    return _Minimisation(terms, start, hessian_diagonal, np.inf if upper is None else upper, device).run(
+        iterations, tolerance
+    )
 
 
-class _Descent:
-    """Where a minimisation stands: x, the terms' gradient there, the last change and its image; all on the device."""
+class _Minimisation:
+    """Where a minimisation stands: x, the terms' gradient there, the last change and the Hessian's product with it.
+
+    All on the device.
+    """
 
     def __init__(
-        self, terms: Sequence[Term], start: np.ndarray, stiffness: np.ndarray, upper: np.ndarray | float, device: Device
+        self,
+        terms: Sequence[Term],
+        start: np.ndarray,
+        hessian_diagonal: np.ndarray,
+        upper: np.ndarray | float,
+        device: Device,
     ) -> None:
         self._quadratic = [term for term in terms if term.quadratic]
         self._others = [term for term in terms if not term.quadratic]
@@ -70,13 +80,13 @@ class _Descent:
         self._device = device
         self._gathering = Gathering(device, shares_of(self._quadratic))
         vectors = self._vectors = Vectors(device, len(start))
-        self._x, self._scale = vectors.of(start), vectors.of(1 / stiffness)
+        self._x, self._inverse_diagonal = vectors.of(start), vectors.of(1 / hessian_diagonal)
         self._upper = vectors.of(np.broadcast_to(upper, start.shape))
         self._change, self._product, self._linear = (vectors.zeros() for _ in range(3))
         self._sums = device.empty((3, PARTS), np.float32)
-        begin = np.zeros(1, STRUCTS["Descent"])
+        begin = np.zeros(1, STRUCTS["Minimisation"])
         begin["length"] = 1.0
-        self._descent = device.array(begin)
+        self._state = device.array(begin)
         for term in self._quadratic:
             term.add_gradient(self._x, self._linear)
         self._gathering.complete(self._linear)
@@ -96,59 +106,59 @@ class _Descent:
         with repeated(iterate) as again:
             for number in count(1):
                 again()
-                behind.append(self._descent.get_async())
+                behind.append(self._state.get_async())
                 while len(behind) > (self._repeats and number < iterations):
-                    descent, copied = behind.popleft()
+                    state, copied = behind.popleft()
                     copied.wait()
-                    if descent["ended"][0]:
+                    if state["ended"][0]:
                         return self._x.get().astype(float)
         raise AssertionError("a minimisation has no end")
 
     def _look(self) -> None:
-        """Makes the next change, and its image."""
+        """Makes the next change, and the Hessian's product with it."""
         vectors = self._vectors
         vectors.launch(
-            "next_change", x=self._x, upper=self._upper, gradient=self._gradient, scale=self._scale,
-            descent=self._descent, change=self._change, product=self._product,
+            "next_change", x=self._x, upper=self._upper, gradient=self._gradient,
+            inverse_diagonal=self._inverse_diagonal, state=self._state, change=self._change, product=self._product,
         )  # fmt: skip
         for term in self._quadratic:
             term.add_product(self._change, self._product)
         # Of several ranks, once for all terms.
         self._gathering.complete(self._product)
-        self._image = self._secant() if self._others else self._product
+        self._hessian_change = self._secant() if self._others else self._product
 
     def _secant(self) -> DeviceArray:
         """The product, and how much the other terms' gradient changes along the change."""
         vectors = self._vectors
-        there, image, gradient = self._x.copy(), self._product.copy(), vectors.zeros()
+        there, product, gradient = self._x.copy(), self._product.copy(), vectors.zeros()
         vectors.add(1.0, self._change, there)
         for term in self._others:
             term.add_gradient(there, gradient)
-        vectors.add(1.0, gradient, image)
-        vectors.add(-1.0, self._of_others, image)
-        return image
+        vectors.add(1.0, gradient, product)
+        vectors.add(-1.0, self._of_others, product)
+        return product
 
     def _step(self, iterations: int, tolerance: float) -> None:
         """Takes as much of the change as makes the function least, and sees what makes the next one conjugate."""
-        vectors, descent, sums = self._vectors, self._descent, self._sums
+        vectors, state, sums = self._vectors, self._state, self._sums
         vectors.launch_parts(
             "sums_of_change", x=self._x, upper=self._upper, gradient=self._gradient, change=self._change,
-            image=self._image, sums=sums,
+            hessian_change=self._hessian_change, sums=sums,
         )  # fmt: skip
         vectors.launch_once(
             "choose_step", sums=sums, longest=_EXTRAPOLATION if self._others else np.inf, most_steps=iterations,
-            tolerance=tolerance, descent=descent,
+            tolerance=tolerance, state=state,
         )  # fmt: skip
         vectors.launch(
-            "take_step", descent=descent, change=self._change, image=self._product, x=self._x, upper=self._upper,
+            "take_step", state=state, change=self._change, hessian_change=self._product, x=self._x, upper=self._upper,
             gradient=self._linear,
         )  # fmt: skip
         self._gradient = self._whole_gradient()
         vectors.launch_parts(
-            "sums_of_gradient", x=self._x, upper=self._upper, gradient=self._gradient, scale=self._scale,
-            image=self._image, sums=sums,
+            "sums_of_gradient", x=self._x, upper=self._upper, gradient=self._gradient,
+            inverse_diagonal=self._inverse_diagonal, hessian_change=self._hessian_change, sums=sums,
         )  # fmt: skip
-        vectors.launch_once("choose_conjugation", sums=sums, descent=descent)
+        vectors.launch_once("choose_conjugation", sums=sums, state=state)
 
     def _whole_gradient(self) -> DeviceArray:
         if not self._others:

@@ -18,7 +18,7 @@ from cloudtomo_cl.transport.jacobian import Jacobian
 _PIXELS_OF_PART = 64
 
 
-class Force:
+class ResidualWeights:
     """Weighted residuals without what the views' gains and motions explain, W C r, on a device.
 
     Parameters
@@ -55,7 +55,7 @@ class Force:
         self._order = device.constant(order.astype(np.uint32))
         self._sums = device.zeros(max(self._parts * self._basis_count, 1), np.float32)
 
-    def of(self, residual: DeviceArray, result: DeviceArray) -> None:
+    def weigh(self, residual: DeviceArray, result: DeviceArray) -> None:
         """Makes `result` of a residual; both have the shape (pixels,)."""
         if self._basis_count:
             self._launch(
@@ -82,7 +82,7 @@ class DataTerm:
     Parameters
     ----------
     jacobian : J, shape (pixels, voxels)
-    force : W C
+    residual_weights : W C
     residual : modelled minus measured image at the start, shape (pixels,)
     start : shape (voxels,)
     damping : D's diagonal, shape (voxels,)
@@ -92,9 +92,14 @@ class DataTerm:
     repeatable: ClassVar[bool] = True
 
     def __init__(
-        self, jacobian: Jacobian, force: Force, residual: np.ndarray, start: np.ndarray, damping: np.ndarray
+        self,
+        jacobian: Jacobian,
+        residual_weights: ResidualWeights,
+        residual: np.ndarray,
+        start: np.ndarray,
+        damping: np.ndarray,
     ) -> None:
-        self._jacobian, self._force, device = jacobian, force, force.device
+        self._jacobian, self._residual_weights, device = jacobian, residual_weights, residual_weights.device
         self._vectors, self._pixels = Vectors(device, len(start)), Vectors(device, len(residual))
         self._residual, self._start = self._pixels.of(residual), self._vectors.of(start)
         self._damping = self._vectors.of(damping)
@@ -107,11 +112,11 @@ class DataTerm:
         return self._jacobian.voxel_shares
 
     @property
-    def slope(self) -> np.ndarray:
+    def gradient_at_start(self) -> np.ndarray:
         """Its gradient at the start, shape (voxels,), float64."""
         gradient = self._vectors.zeros()
         self.add_gradient(self._start, gradient)
-        Gathering(self._force.device, self.shares).complete(gradient)
+        Gathering(self._residual_weights.device, self.shares).complete(gradient)
         return gradient.get().astype(float)
 
     def add_gradient(self, x: DeviceArray, result: DeviceArray) -> None:
@@ -126,8 +131,8 @@ class DataTerm:
 
     def _add(self, change: DeviceArray, result: DeviceArray) -> None:
         """Adds what follows from the image and a change of the extinction."""
-        self._force.of(self._image, self._weighed)
+        self._residual_weights.weigh(self._image, self._weighed)
         self._jacobian.transposed(self._weighed, self._transposed)
         self._vectors.launch(
-            "add_damped", transposed=self._transposed, stiffness=self._damping, change=change, result=result
+            "add_damped", transposed=self._transposed, damping=self._damping, change=change, result=result
         )

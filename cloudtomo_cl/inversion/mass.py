@@ -6,27 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cloudtomo_cl.inversion.bound_prior import FrozenPrior
-from cloudtomo_cl.inversion.patch_prior import FrozenPatches
-from cloudtomo_cl.inversion.relative_prior import ScaledPrior
-
 # Draws of the images' noise that the share is found by, each with its opposite.
 PAIRS = 1
 
 
 def is_due(iterations: int) -> bool:
-    """Whether the share is found anew in an iteration, counted from 1: it changes ever more slowly."""
+    """Whether the share is found anew after so many fitted iterations: at 1, 2, 4, 8, ..., for it settles."""
     return iterations & (iterations - 1) == 0
-
-
-def give_back(prior: FrozenPrior, extinction: np.ndarray, share: float) -> bool:
-    """Lets a prior take this share of its pull on the mass back, see `FrozenPatches.give_back`; False if it cannot."""
-    if isinstance(prior, ScaledPrior):
-        return give_back(prior.inner, extinction / prior.factor, share)
-    if isinstance(prior, FrozenPatches):
-        prior.give_back(extinction, share)
-        return True
-    return False
 
 
 def share_that_keeps_mass(

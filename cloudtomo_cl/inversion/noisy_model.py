@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cloudtomo_cl.inversion.bound_prior import FrozenPrior, NoiseUnits
 from cloudtomo_cl.inversion.conjugate_gradients import minimised
+from cloudtomo_cl.inversion.stage_prior import FrozenPrior, NoiseUnits
 from cloudtomo_cl.inversion.terms import Around, Term
 from cloudtomo_cl.opencl.device import Device
 
@@ -23,7 +23,7 @@ class NoisyModel:
     Attributes
     ----------
     terms : quadratic, whose second derivatives are the model's
-    stiffness : about the diagonal of these, shape (voxels of the mask,)
+    hessian_diagonal : about the diagonal of these, shape (voxels of the mask,)
     data_slope : of the data term at the extinction, same shape
     slope_of_noise : draws noise of the images: what it adds to the slope of the data term, same shape
     prior : as it stands there; its Gaussian part is among the terms
@@ -33,7 +33,7 @@ class NoisyModel:
     """
 
     terms: Sequence[Term]
-    stiffness: np.ndarray
+    hessian_diagonal: np.ndarray
     data_slope: np.ndarray
     slope_of_noise: Callable[[np.random.Generator], np.ndarray]
     prior: FrozenPrior
@@ -49,4 +49,4 @@ class NoisyModel:
     def minimum(self, slope: np.ndarray) -> np.ndarray:
         """Where the model is least over what is not negative, if it has this slope at the extinction; same shape."""
         model = Around(self.terms, self.extinction, slope, self.device)
-        return minimised([model], self.extinction, self.stiffness, _ITERATIONS, self.device, _TOLERANCE)
+        return minimised([model], self.extinction, self.hessian_diagonal, _ITERATIONS, self.device, _TOLERANCE)

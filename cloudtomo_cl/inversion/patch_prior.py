@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from cloudtomo_cl.inversion.bound_prior import NoiseUnits
 from cloudtomo_cl.inversion.patch_operator import PatchOperator, PatchQuadratic
+from cloudtomo_cl.inversion.stage_prior import NoiseUnits
 from cloudtomo_cl.inversion.vectors import Vectors
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.parallel.ranks import Shares
@@ -17,14 +17,14 @@ from cloudtomo_cl.parallel.ranks import Shares
 _FIRST_NOISE, _NOISE_SHARE = 0.2, 0.7
 # Share of the prior's pull on a cloud's mass that a step takes back where nobody finds it (`mass`), and the extinction,
 # in units of s, at which a voxel takes half of its part in that (docs/decisions/patch-prior.md).
-_RETURNED, _HALF_PRESENT = 0.3, 0.1
+_MASS_SHARE, _HALF_PRESENT = 0.3, 0.1
 # Of a cloud of so many voxels a step's patches with cloud count half: those that were learnt from are of more.
 _FEW_VOXELS = 200.0
 # Patches that are drawn at a time: 20 MB of them.
 _AT_ONCE = 1 << 15
 
 
-class BoundPatches:
+class StagePatches:
     """Minus the log likelihood of the patches of u = b / s, averaged over the patches that hold a voxel, s given.
 
     R(u) = strength / values sum_i min_k [ 1/2 (P_i u - m_k)^T S_k (P_i u - m_k) - 1/2 log det S_k - log w_k ]
@@ -41,6 +41,7 @@ class BoundPatches:
     """
 
     chooses: ClassVar[bool] = True
+    corrects_mass: ClassVar[bool] = True
 
     def __init__(self, operator: PatchOperator, strength: float, noise: float) -> None:
         self._operator = operator
@@ -50,7 +51,9 @@ class BoundPatches:
         step = FrozenPatches(self._operator, self._weight, self._noise, extinction)
         return step.value_and_gradient(extinction, units)
 
-    def frozen(self, extinction: np.ndarray, iteration: int | None = None) -> FrozenPatches:
+    def frozen(
+        self, extinction: np.ndarray, iteration: int | None = None, mass_share: float | None = None
+    ) -> FrozenPatches:
         """With the components that are the likeliest at this extinction, and the noise of this iteration.
 
         Patches of a cloud of few voxels, as on the grids of the first stages, are rougher than those of most clouds
@@ -63,9 +66,8 @@ class BoundPatches:
         noise = self._noise if iteration is None else max(_FIRST_NOISE * _NOISE_SHARE**iteration, self._noise)
         count = voxels_of_cloud(extinction)
         share = count / (count + _FEW_VOXELS) if count else 1.0
-        step = FrozenPatches(self._operator, self._weight, noise, extinction, share)
-        step.give_back(extinction, _RETURNED)
-        return step
+        taken_back = _MASS_SHARE if mass_share is None else mass_share
+        return FrozenPatches(self._operator, self._weight, noise, extinction, share, taken_back)
 
 
 def voxels_of_cloud(extinction: np.ndarray) -> float:
@@ -75,42 +77,44 @@ def voxels_of_cloud(extinction: np.ndarray) -> float:
 
 
 class FrozenPatches:
-    """`BoundPatches` with the components that patches have at one extinction: a quadratic function.
+    """`StagePatches` with the components that patches have at one extinction: a quadratic function.
 
     Parameters
     ----------
-    operator : as of `BoundPatches`
+    operator : as of `StagePatches`
     weight : strength over a patch's values
     noise : standard deviation in units of s
     extinction : where components are chosen, in units of s, shape (voxels,)
     share : by which patches with cloud count
+    mass_share : a slope where there is cloud takes so much of the slope along the extinction itself away
     """
 
     def __init__(
-        self, operator: PatchOperator, weight: float, noise: float, extinction: np.ndarray, share: float = 1.0
-    ) -> None:
+        self, operator: PatchOperator, weight: float, noise: float, extinction: np.ndarray, share: float = 1.0,
+        mass_share: float = 0.0,
+    ) -> None:  # fmt: skip
         self._operator, self._weight, self._noise = operator, share * weight, noise
         self._quadratic = PatchQuadratic(operator, extinction, noise, 1 / share)
-        self._slope, self._slope_start = np.zeros(len(extinction)), extinction
+        self._mass_slope, self._start = self._slope_of_mass(extinction, mass_share), extinction
 
-    def give_back(self, extinction: np.ndarray, share: float) -> None:
-        """Adds a slope where there is cloud, so that this share of the slope along the extinction itself is gone."""
+    def _slope_of_mass(self, extinction: np.ndarray, mass_share: float) -> np.ndarray:
         presence = extinction / (extinction + _HALF_PRESENT)
         along = float(presence @ extinction)
-        if along > 0:
-            pull = float(self._quadratic.value_and_gradient(extinction)[1] @ extinction)
-            self._slope, self._slope_start = -share * pull / along * presence, extinction
+        if not (along > 0 and mass_share):
+            return np.zeros(len(extinction))
+        pull = float(self._quadratic.value_and_gradient(extinction)[1] @ extinction)
+        return -mass_share * pull / along * presence
 
     def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
         value, gradient = self._quadratic.value_and_gradient(extinction)
-        value += float(self._slope @ (extinction - self._slope_start))
+        value += float(self._mass_slope @ (extinction - self._start))
         factor = units.weighted * self._weight
-        return factor * value, factor * (gradient + self._slope)
+        return factor * value, factor * (gradient + self._mass_slope)
 
     def curvature(self, extinction: np.ndarray, units: NoiseUnits) -> np.ndarray:
         return units.weighted * self._weight * self._quadratic.diagonal
 
-    def stiffness(self, columns: np.ndarray, units: NoiseUnits) -> np.ndarray:
+    def hessian_times(self, columns: np.ndarray, units: NoiseUnits) -> np.ndarray:
         products = [self._quadratic.times(column) for column in columns.T]
         return np.column_stack(products) * (units.weighted * self._weight)
 
@@ -129,7 +133,7 @@ class FrozenPatches:
     def term(self, units: NoiseUnits, scale: float = 1.0) -> PatchTerm:
         """See `DevicePrior`."""
         vectors = self._operator.vectors
-        return PatchTerm(self._quadratic, vectors, vectors.of(self._slope), units.weighted * self._weight, scale)
+        return PatchTerm(self._quadratic, vectors, vectors.of(self._mass_slope), units.weighted * self._weight, scale)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,12 +10,12 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.inversion.bound_prior import BoundPrior, FrozenPrior, NoiseUnits
 from cloudtomo_cl.inversion.mixture_file import SHIPPED, read_mixtures
 from cloudtomo_cl.inversion.patch_operator import PatchOperator
-from cloudtomo_cl.inversion.patch_prior import BoundPatches
+from cloudtomo_cl.inversion.patch_prior import StagePatches
 from cloudtomo_cl.inversion.patches import Patches
 from cloudtomo_cl.inversion.relative_prior import RelativePrior
+from cloudtomo_cl.inversion.stage_prior import FrozenPrior, NoiseUnits, StagePrior
 from cloudtomo_cl.inversion.vectors import Vectors
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.messages import answering
@@ -132,7 +132,7 @@ def unlike_prior(prior: AnyPrior | Regulariser, grid: Grid) -> str:
     return read_mixtures(prior.file or SHIPPED).unlike(grid.spacing) if isinstance(prior, PatchPrior) else ""
 
 
-def bound_prior(prior: AnyPrior | Regulariser, voxels: Voxels, device: Device) -> BoundPrior:
+def stage_prior(prior: AnyPrior | Regulariser, voxels: Voxels, device: Device) -> StagePrior:
     """A prior for the voxels of one stage.
 
     Raises
@@ -142,9 +142,9 @@ def bound_prior(prior: AnyPrior | Regulariser, voxels: Voxels, device: Device) -
     if isinstance(prior, PatchPrior):
         mixture = read_mixtures(prior.file or SHIPPED).of_spacing(voxels.grid.spacing)
         operator = PatchOperator(Patches(voxels, mixture.size), mixture, device)
-        return RelativePrior(BoundPatches(operator, prior.strength, prior.noise), 1.0)
+        return RelativePrior(StagePatches(operator, prior.strength, prior.noise), 1.0)
     if isinstance(prior, Prior):
-        absolute = BoundSmoothness(prior, voxels, device)
+        absolute = StageSmoothness(prior, voxels, device)
         return RelativePrior(absolute, prior.reference) if prior.reference else absolute
     if not isinstance(prior, Regulariser):
         raise DataError(
@@ -178,17 +178,19 @@ class _OwnPrior:
         curvature = np.asarray(of_own(extinction.copy(), self._voxels), float)
         return units.weighted * np.maximum(np.broadcast_to(curvature, len(self._voxels)), 0.0)
 
-    def frozen(self, extinction: np.ndarray, iteration: int | None = None) -> FrozenPrior:
+    def frozen(
+        self, extinction: np.ndarray, iteration: int | None = None, mass_share: float | None = None
+    ) -> FrozenPrior:
         return self
 
-    def stiffness(self, columns: np.ndarray, units: NoiseUnits) -> np.ndarray:
+    def hessian_times(self, columns: np.ndarray, units: NoiseUnits) -> np.ndarray:
         return np.zeros_like(columns)
 
     def perturbation(self, random: np.random.Generator, units: NoiseUnits) -> np.ndarray:
         return np.zeros(len(self._voxels))
 
 
-class BoundSmoothness:
+class StageSmoothness:
     """`Prior` for the voxels of one stage, by the kernels of prior.cl."""
 
     def __init__(self, prior: Prior, voxels: Voxels, device: Device) -> None:
@@ -205,10 +207,12 @@ class BoundSmoothness:
         of_sparsity = units.measured * (prior.sparsity / prior.sparsity_scale**2)
         return units.weighted * prior.smoothness * SMOOTHNESS_CURVATURE + of_sparsity
 
-    def frozen(self, extinction: np.ndarray, iteration: int | None = None) -> FrozenPrior:
+    def frozen(
+        self, extinction: np.ndarray, iteration: int | None = None, mass_share: float | None = None
+    ) -> FrozenPrior:
         return self
 
-    def stiffness(self, columns: np.ndarray, units: NoiseUnits) -> np.ndarray:
+    def hessian_times(self, columns: np.ndarray, units: NoiseUnits) -> np.ndarray:
         """Of smoothness alone: A is symmetric."""
         products = [roughness(roughness(self._on_grid(column)))[self._voxels.mask] for column in columns.T]
         return units.weighted * self._prior.smoothness * np.column_stack(products)

@@ -11,11 +11,11 @@ import numpy as np
 from cloudtomo_cl.blas import with_one_blas_thread
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.missing import require_present
-from cloudtomo_cl.inversion.bound_prior import BoundPrior, NoiseUnits
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.objective import AveragedImage
 from cloudtomo_cl.inversion.pixels import ActivePixels, active_pixels
-from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser, bound_prior
+from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser, stage_prior
+from cloudtomo_cl.inversion.stage_prior import NoiseUnits, StagePrior
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
@@ -57,7 +57,7 @@ class Problem:
     voxels: Voxels
     active: ActivePixels
     operator: RadianceOperator
-    prior: BoundPrior
+    prior: StagePrior
     prior_weight: float = 1.0
     samples: int | None = None
     motions: np.ndarray | None = None
@@ -103,7 +103,7 @@ class Problem:
         voxels = Voxels(coarse.grid, coarsened(mask, shape))
         active = active_pixels(measurements, coarse.grid, voxels.mask)
         operator = RadianceOperator(coarse, active.views, device, active.listed, mask=voxels.mask)
-        return cls(voxels, active, operator, bound_prior(prior or PatchPrior(), voxels, device), prior_weight, samples)
+        return cls(voxels, active, operator, stage_prior(prior or PatchPrior(), voxels, device), prior_weight, samples)
 
     def __repr__(self) -> str:
         return f"Problem({len(self.active)} pixels, {len(self.voxels)} voxels of {self.grid.text})"

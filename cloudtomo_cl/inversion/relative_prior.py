@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from cloudtomo_cl.inversion.bound_prior import BoundPrior, DevicePrior, FrozenPrior, NoiseUnits
+from cloudtomo_cl.inversion.stage_prior import DevicePrior, FrozenPrior, NoiseUnits, StagePrior
 from cloudtomo_cl.inversion.terms import Term
 
 
@@ -34,7 +34,7 @@ class RelativePrior:
     reference : km^-1, the mean extinction s that W's numbers are said for
     """
 
-    inner: BoundPrior
+    inner: StagePrior
     reference: float
 
     def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
@@ -47,14 +47,21 @@ class RelativePrior:
         along = float(slope @ extinction) / factor / mean
         return value, slope / factor - along * (2 * extinction - mean) / total
 
-    def frozen(self, extinction: np.ndarray, iteration: int | None = None) -> FrozenPrior:
+    def frozen(
+        self, extinction: np.ndarray, iteration: int | None = None, mass_share: float | None = None
+    ) -> FrozenPrior:
         factor = self._factor(extinction)
-        return ScaledPrior(self.inner.frozen(extinction / factor, iteration), factor)
+        return ScaledPrior(self.inner.frozen(extinction / factor, iteration, mass_share), factor)
 
     @property
     def chooses(self) -> bool:
-        """See `BoundPrior`."""
+        """See `StagePrior`."""
         return getattr(self.inner, "chooses", False)
+
+    @property
+    def corrects_mass(self) -> bool:
+        """See `StagePrior`."""
+        return getattr(self.inner, "corrects_mass", False)
 
     def _factor(self, extinction: np.ndarray) -> float:
         return mean_extinction(extinction) / self.reference or 1.0
@@ -74,8 +81,8 @@ class ScaledPrior:
     def curvature(self, extinction: np.ndarray, units: NoiseUnits) -> np.ndarray | float:
         return self.inner.curvature(extinction / self.factor, units) / self.factor**2
 
-    def stiffness(self, columns: np.ndarray, units: NoiseUnits) -> np.ndarray:
-        return self.inner.stiffness(columns, units) / self.factor**2
+    def hessian_times(self, columns: np.ndarray, units: NoiseUnits) -> np.ndarray:
+        return self.inner.hessian_times(columns, units) / self.factor**2
 
     def perturbation(self, random: np.random.Generator, units: NoiseUnits) -> np.ndarray:
         return self.inner.perturbation(random, units) / self.factor

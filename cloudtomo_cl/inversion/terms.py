@@ -13,7 +13,7 @@ from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.parallel.ranks import Shares
 
 if TYPE_CHECKING:
-    from cloudtomo_cl.inversion.bound_prior import FrozenPrior, NoiseUnits
+    from cloudtomo_cl.inversion.stage_prior import FrozenPrior, NoiseUnits
 
 
 class Term(Protocol):
@@ -70,7 +70,7 @@ def term_of(prior: FrozenPrior, units: NoiseUnits, device: Device) -> Term:
     return HostTerm(prior, units, device) if made is None else made(units)
 
 
-class HostStiffness:
+class HostHessian:
     """The Gaussian part of a prior that knows arrays of the host alone, around 0."""
 
     quadratic: ClassVar[bool] = True
@@ -82,15 +82,15 @@ class HostStiffness:
         self.add_product(x, result)
 
     def add_product(self, x: DeviceArray, result: DeviceArray) -> None:
-        product = self._prior.stiffness(x.get().astype(float)[:, None], self._units)[:, 0]
+        product = self._prior.hessian_times(x.get().astype(float)[:, None], self._units)[:, 0]
         vectors = Vectors(self._device, len(product))
         vectors.add(1.0, vectors.of(product), result)
 
 
-def stiffness_of(prior: FrozenPrior, units: NoiseUnits, device: Device) -> Term:
+def hessian_of(prior: FrozenPrior, units: NoiseUnits, device: Device) -> Term:
     """A prior's second derivative as that of a term, as far as it is Gaussian."""
     term = term_of(prior, units, device)
-    return term if term.quadratic else HostStiffness(prior, units, device)
+    return term if term.quadratic else HostHessian(prior, units, device)
 
 
 class Around:

@@ -77,7 +77,7 @@ STRUCTS: dict[str, np.dtype] = {
             ("square_low", np.float32),
         ]
     ),
-    "Descent": np.dtype(  # where a minimisation stands: minimise.cl
+    "Minimisation": np.dtype(  # where a minimisation stands: minimise.cl
         [
             ("length", np.float32),  # of the next step, in directions
             ("conjugation", np.float32),  # share of the last change in the next direction

@@ -15,15 +15,15 @@ _HALO = (
 VECTOR_KERNELS: dict[str, tuple[str, ...]] = {
     "next_change": (
         *_POINT,
-        "const __global float *scale",
-        "const __global Descent *descent",
+        "const __global float *inverse_diagonal",
+        "const __global Minimisation *state",
         "__global float *change",
         "__global float *product",
     ),
     "sums_of_change": (
         *_POINT,
         "const __global float *change",
-        "const __global float *image",  # the second derivative times the change
+        "const __global float *hessian_change",  # the second derivative times the change
         "__global float *sums",  # [3][part]
     ),
     "choose_step": (
@@ -31,24 +31,24 @@ VECTOR_KERNELS: dict[str, tuple[str, ...]] = {
         "const float longest",  # changes, that a step may take
         "const int most_steps",
         "const float tolerance",  # share of all that was gained
-        "__global Descent *descent",
+        "__global Minimisation *state",
     ),
     "take_step": (
         "const uint count",
-        "const __global Descent *descent",
+        "const __global Minimisation *state",
         "const __global float *change",
-        "const __global float *image",
+        "const __global float *hessian_change",
         "const __global float *upper",
         "__global float *x",
         "__global float *gradient",
     ),
     "sums_of_gradient": (
         *_POINT,
-        "const __global float *scale",
-        "const __global float *image",
+        "const __global float *inverse_diagonal",
+        "const __global float *hessian_change",
         "__global float *sums",  # [part]
     ),
-    "choose_conjugation": ("const __global float *sums", "__global Descent *descent"),
+    "choose_conjugation": ("const __global float *sums", "__global Minimisation *state"),
     "add_vector": ("const uint count", "const float factor", "const __global float *x", "__global float *result"),
     "spread_values": (
         "const uint count",
@@ -73,7 +73,7 @@ VECTOR_KERNELS: dict[str, tuple[str, ...]] = {
     "add_damped": (
         "const uint count",
         "const __global float *transposed",
-        "const __global float *stiffness",
+        "const __global float *damping",
         "const __global float *change",
         "__global float *result",
     ),

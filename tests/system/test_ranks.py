@@ -15,7 +15,7 @@ from ranks_scene import GRID, RING, SCENE, everything, extinction, of_recovery, 
 
 import cloudtomo_cl as ct
 from cloudtomo_cl.commands import cli
-from cloudtomo_cl.inversion.priors import bound_prior
+from cloudtomo_cl.inversion.priors import stage_prior
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.opencl.several import on_devices
 
@@ -146,7 +146,7 @@ def test_rows_of_a_jacobian_are_fewer_on_each_rank(device):
 def test_a_rank_has_a_part_of_the_patch_prior():
     def tiles(own):
         voxels = Voxels(GRID, np.ones(GRID.shape, bool))
-        prior = bound_prior(ct.PatchPrior(), voxels, own).frozen(extinction().reshape(-1).astype(float))
+        prior = stage_prior(ct.PatchPrior(), voxels, own).frozen(extinction().reshape(-1).astype(float))
         return own.ranks.all(prior.inner._quadratic._tiles)
 
     (whole,), parts = on_devices([0], tiles), on_devices([0] * 3, tiles)

@@ -8,8 +8,8 @@ from dense_term import DenseTerm
 
 import cloudtomo_cl as ct
 from cloudtomo_cl.inversion.annealing import InnerProblem, annealed
-from cloudtomo_cl.inversion.bound_prior import NoiseUnits
-from cloudtomo_cl.inversion.priors import PatchPrior, Prior, bound_prior
+from cloudtomo_cl.inversion.priors import PatchPrior, Prior, stage_prior
+from cloudtomo_cl.inversion.stage_prior import NoiseUnits
 
 GRID = ct.Grid((9, 9, 9), (0.05, 0.05, 0.05))
 ITERATIONS = 20
@@ -39,10 +39,10 @@ def sums_of_pairs(lines):
 
 def inner_problem(device, data):
     voxels = ct.Voxels(GRID, np.ones(GRID.shape, bool))
-    problem = SimpleNamespace(prior=bound_prior(PatchPrior(), voxels, device), operator=SimpleNamespace(device=device))
-    stiffness = data.weights @ data.jacobian**2
+    problem = SimpleNamespace(prior=stage_prior(PatchPrior(), voxels, device), operator=SimpleNamespace(device=device))
+    hessian_diagonal = data.weights @ data.jacobian**2
     return InnerProblem(
-        problem, data, stiffness, NoiseUnits(1.0, 1.0), np.full(len(stiffness), np.inf), 0.5, ITERATIONS
+        problem, data, hessian_diagonal, NoiseUnits(1.0, 1.0), np.full(len(hessian_diagonal), np.inf), 0.5, ITERATIONS
     )
 
 
@@ -82,4 +82,4 @@ def test_it_is_nearer_to_clouds_than_choices_at_the_last_minimum(device):
 @pytest.mark.parametrize(("prior", "chooses"), [(PatchPrior(), True), (Prior(), False), (Prior(reference=46.0), False)])
 def test_patches_choose(device, prior, chooses):
     voxels = ct.Voxels(GRID, np.ones(GRID.shape, bool))
-    assert bool(getattr(bound_prior(prior, voxels, device), "chooses", False)) == chooses
+    assert bool(getattr(stage_prior(prior, voxels, device), "chooses", False)) == chooses

@@ -87,11 +87,11 @@ def test_without_bounds_they_are_conjugate_gradients(device, random):
 
 def test_an_iteration_takes_a_product_and_lowers_the_function(device, random, matrix):
     term = Quadratic(device, matrix.T @ matrix, matrix.T @ random.normal(size=60))
-    start, stiffness = random.random(UNKNOWNS), np.sum(matrix**2, axis=0)
+    start, hessian_diagonal = random.random(UNKNOWNS), np.sum(matrix**2, axis=0)
     values = [term.value(start)]
     for iterations in range(1, 12):
         term.products = 0
-        values.append(term.value(minimised([term], start, stiffness, iterations, device)))
+        values.append(term.value(minimised([term], start, hessian_diagonal, iterations, device)))
         assert term.products <= iterations + 1  # a direction that leads up is replaced
     assert (np.diff(values) < 0).all()
 
@@ -130,16 +130,16 @@ def test_a_function_around_a_centre_has_its_slope_there(device, random, matrix):
 
 def chosen(device, sums, *, before=None, longest=np.inf, most_steps=9, tolerance=1e-7):
     """What `choose_step` makes of sums, shape (3, PARTS)."""
-    descent = np.zeros(1, STRUCTS["Descent"])
-    descent["length"] = 1.0
+    state = np.zeros(1, STRUCTS["Minimisation"])
+    state["length"] = 1.0
     for name, value in (before or {}).items():
-        descent[name] = value
-    descent = device.array(descent)
+        state[name] = value
+    state = device.array(state)
     Vectors(device, 1).launch_once(
         "choose_step", sums=device.array(np.asarray(sums, np.float32)), longest=longest, most_steps=most_steps,
-        tolerance=tolerance, descent=descent,
+        tolerance=tolerance, state=state,
     )  # fmt: skip
-    return descent.get()[0]
+    return state.get()[0]
 
 
 def sums_of(slope, curvature, farthest=np.inf):
@@ -155,17 +155,19 @@ def test_sums_are_those_of_all_numbers(device, random, count):
     """Seen by the step that they lead to: -slope / curvature, as far as no bound is met."""
     vectors, sums = Vectors(device, count), device.empty((3, PARTS), np.float32)
     x, room = np.abs(random.normal(size=(2, count))).astype(np.float32)
-    gradient, change, image = random.normal(size=(3, count)).astype(np.float32)
-    gradient, image = -np.sign(change) * np.abs(gradient), np.sign(change) * np.abs(image)
+    gradient, change, hessian_change = random.normal(size=(3, count)).astype(np.float32)
+    gradient, hessian_change = -np.sign(change) * np.abs(gradient), np.sign(change) * np.abs(hessian_change)
     vectors.launch_parts(
         "sums_of_change", sums=sums,
         **{
             name: vectors.of(values)
-            for name, values in dict(x=x, upper=x + room, gradient=gradient, change=change, image=image).items()
+            for name, values in dict(
+                x=x, upper=x + room, gradient=gradient, change=change, hessian_change=hessian_change
+            ).items()
         },
     )  # fmt: skip
     way = np.where(change < 0, x, (x + room) - x)
-    best = -(gradient.astype(float) @ change) / (image.astype(float) @ change)
+    best = -(gradient.astype(float) @ change) / (hessian_change.astype(float) @ change)
     farthest = np.min(way / np.abs(change))
     assert chosen(device, sums.get())["taken"] == pytest.approx(min(best, farthest), rel=1e-5)
     assert sums.get()[2].min() == pytest.approx(farthest)
@@ -221,11 +223,11 @@ def test_it_ends_with_the_last_step_or_the_second_in_a_row_that_gains_little(dev
 
 @pytest.mark.parametrize("along, taken, expected", [(-3.0, 1.0, 1.5), (3.0, 1.0, 0.0), (-3.0, 0.0, 0.25)])
 def test_the_next_direction_is_conjugate_to_the_change(device, along, taken, expected):
-    descent = np.zeros(1, STRUCTS["Descent"])
-    descent["curvature"], descent["taken"], descent["conjugation"] = 2.0, taken, 0.25 * (taken == 0)
-    descent, sums = device.array(descent), np.full(PARTS, along / PARTS, np.float32)
-    Vectors(device, 1).launch_once("choose_conjugation", sums=device.array(sums), descent=descent)
-    assert descent.get()[0]["conjugation"] == pytest.approx(expected)
+    state = np.zeros(1, STRUCTS["Minimisation"])
+    state["curvature"], state["taken"], state["conjugation"] = 2.0, taken, 0.25 * (taken == 0)
+    state, sums = device.array(state), np.full(PARTS, along / PARTS, np.float32)
+    Vectors(device, 1).launch_once("choose_conjugation", sums=device.array(sums), state=state)
+    assert state.get()[0]["conjugation"] == pytest.approx(expected)
 
 
 def test_what_is_chosen_follows_from_no_group_size(device, random, monkeypatch):
@@ -233,9 +235,9 @@ def test_what_is_chosen_follows_from_no_group_size(device, random, monkeypatch):
     sums, found = np.abs(random.normal(size=(3, PARTS))) * np.array([[-1], [1], [9]]), []
     for size in (1, 16, 48, 64, 128):
         monkeypatch.setattr(device, "group_size", size)
-        descent = chosen(device, sums)
-        on_device = device.array(descent[None])
+        state = chosen(device, sums)
+        on_device = device.array(state[None])
         given = device.array(-sums[1].astype(np.float32))
-        Vectors(device, 1).launch_once("choose_conjugation", sums=given, descent=on_device)
+        Vectors(device, 1).launch_once("choose_conjugation", sums=given, state=on_device)
         found.append(on_device.get().tobytes())
     assert len(set(found)) == 1

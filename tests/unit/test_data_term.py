@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cloudtomo_cl.inversion.calibration import Calibration
-from cloudtomo_cl.inversion.data_term import DataTerm, Force
+from cloudtomo_cl.inversion.data_term import DataTerm, ResidualWeights
 from cloudtomo_cl.inversion.vectors import Vectors
 
 PIXELS, VOXELS, VIEWS = 300, 30, 3
@@ -44,7 +44,7 @@ def case(request, random, device):
     image, residual = random.uniform(1, 2, PIXELS), random.normal(size=PIXELS)
     jacobian, start = random.normal(size=(PIXELS, VOXELS)), random.random(VOXELS)
     damping = random.random(VOXELS)
-    term = DataTerm(Dense(jacobian), Force(weights, calibration, image, device), residual, start, damping)
+    term = DataTerm(Dense(jacobian), ResidualWeights(weights, calibration, image, device), residual, start, damping)
     return term, residual, lambda r: weights * calibration(r, image), jacobian, start, damping
 
 
@@ -55,7 +55,7 @@ def test_the_gradient_is_that_of_the_formula(case, random, device):
     term.add_gradient(vectors.of(x), found)
     expected = jacobian.T @ force(residual + jacobian @ (x - start)) + damping * (x - start)
     np.testing.assert_allclose(found.get(), expected, atol=2e-5 * np.abs(expected).max())
-    np.testing.assert_allclose(term.slope, jacobian.T @ force(residual), atol=2e-5 * np.abs(expected).max())
+    np.testing.assert_allclose(term.gradient_at_start, jacobian.T @ force(residual), atol=2e-5 * np.abs(expected).max())
 
 
 def test_the_product_is_that_of_the_second_derivative(case, random, device):

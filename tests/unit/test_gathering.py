@@ -85,7 +85,7 @@ class Shared:
         self.vectors.add(-1.0, self.slope, result)
 
     def add_product(self, x, result):
-        self.vectors.launch("add_damped", transposed=self.zeros, stiffness=self.diagonal, change=x, result=result)
+        self.vectors.launch("add_damped", transposed=self.zeros, damping=self.diagonal, change=x, result=result)
 
 
 def minimum_and_messages(diagonal, slope, iterations, terms=2):

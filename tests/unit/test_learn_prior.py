@@ -14,11 +14,11 @@ from threadpoolctl import threadpool_limits
 import cloudtomo_cl as ct
 from cloudtomo_cl.commands import prior
 from cloudtomo_cl.commands.cli import main
-from cloudtomo_cl.inversion.bound_prior import NoiseUnits
 from cloudtomo_cl.inversion.learning import Learning, by_shape
 from cloudtomo_cl.inversion.mixture import Mixture
 from cloudtomo_cl.inversion.mixture_file import SHIPPED, MixtureFile, read_mixtures
-from cloudtomo_cl.inversion.priors import bound_prior
+from cloudtomo_cl.inversion.priors import stage_prior
+from cloudtomo_cl.inversion.stage_prior import NoiseUnits
 
 SCRIPT = Path(__file__).parents[2] / "scripts/learn_prior.py"
 UNITS = NoiseUnits(1.0, 0.0)
@@ -140,7 +140,7 @@ def test_a_file_is_the_prior_that_its_mixtures_are(tmp_path, device, random):
     voxels = ct.Voxels(ct.Grid((8, 8, 8), (0.02,) * 3), np.ones((8, 8, 8), bool))
     extinction = 30 * random.random(len(voxels))
     found, expected = (
-        bound_prior(given, voxels, device).frozen(extinction).stiffness(np.eye(len(voxels))[:, :3], UNITS)
+        stage_prior(given, voxels, device).frozen(extinction).hessian_times(np.eye(len(voxels))[:, :3], UNITS)
         for given in (ct.PatchPrior(file=tmp_path / "prior.nc"), ct.PatchPrior())
     )
     assert np.array_equal(found, expected)

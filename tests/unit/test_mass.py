@@ -6,10 +6,10 @@ from dense_term import DenseTerm
 from scipy.optimize import lsq_linear
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.inversion.bound_prior import NoiseUnits
 from cloudtomo_cl.inversion.conjugate_gradients import minimised
-from cloudtomo_cl.inversion.mass import PAIRS, give_back, is_due, share_that_keeps_mass
-from cloudtomo_cl.inversion.priors import PatchPrior, Prior, bound_prior
+from cloudtomo_cl.inversion.mass import PAIRS, is_due, share_that_keeps_mass
+from cloudtomo_cl.inversion.priors import PatchPrior, Prior, stage_prior
+from cloudtomo_cl.inversion.stage_prior import NoiseUnits
 from cloudtomo_cl.inversion.terms import Around, term_of
 
 PIXELS = 400
@@ -84,29 +84,36 @@ def test_recoveries_of_other_simulated_images_keep_the_mass(voxels, cloud, devic
     The fifth is for the few draws that the share was found by.
     """
     data = DenseTerm(device, random.normal(size=(PIXELS, len(cloud))), np.ones(PIXELS))
-    bound = bound_prior(PatchPrior(), voxels, device)
-    stiffness = np.sum(data.jacobian**2, axis=0) + bound.frozen(cloud).curvature(cloud, UNITS)
+    at_stage = stage_prior(PatchPrior(), voxels, device)
+    hessian_diagonal = np.sum(data.jacobian**2, axis=0) + at_stage.frozen(cloud).curvature(cloud, UNITS)
 
     def recovered(slope, share):
-        prior = bound.frozen(cloud)
-        give_back(prior, cloud, share)
+        prior = at_stage.frozen(cloud, mass_share=share)
         terms = [Around([data], cloud, slope, device), term_of(prior, UNITS, device)]
-        return minimised(terms, cloud, stiffness, 40, device, 1e-5)
+        return minimised(terms, cloud, hessian_diagonal, 40, device, 1e-5)
 
     noise = np.column_stack([data.slope(DEVIATION * random.standard_normal(PIXELS)) for _ in range(PAIRS + DRAWS)])
     share = share_that_keeps_mass(recovered, cloud, noise[:, :PAIRS])
 
-    def changes_of_mass(returned):
-        return np.array([np.sum(recovered(drawn, returned) - cloud) for drawn in noise[:, PAIRS:].T])
+    def changes_of_mass(taken_back):
+        return np.array([np.sum(recovered(drawn, taken_back) - cloud) for drawn in noise[:, PAIRS:].T])
 
     lost, kept = changes_of_mass(0.0), changes_of_mass(share)
     assert lost.mean() < -5 * lost.std() / np.sqrt(DRAWS)
     assert abs(kept.mean()) < 5 * kept.std() / np.sqrt(DRAWS) + 0.2 * abs(lost.mean())
 
 
-def test_smoothness_gives_nothing_back(voxels, cloud, device):
-    for prior in (Prior(), Prior(reference=46.0)):
-        assert not give_back(bound_prior(prior, voxels, device).frozen(cloud), cloud, 1.0)
+@pytest.mark.parametrize("prior, corrects", [(PatchPrior(), True), (Prior(), False), (Prior(reference=46.0), False)])
+def test_patches_alone_correct_the_mass(prior, corrects, voxels, device):
+    assert bool(getattr(stage_prior(prior, voxels, device), "corrects_mass", False)) == corrects
+
+
+def test_what_is_taken_back_is_a_share_of_the_pull_along_the_cloud(voxels, cloud, device):
+    at_stage = stage_prior(PatchPrior(), voxels, device)
+    along = [
+        at_stage.frozen(cloud, mass_share=share).value_and_gradient(cloud, UNITS)[1] @ cloud for share in (0, 0.3, 1)
+    ]
+    assert along[1] == pytest.approx(0.7 * along[0], rel=1e-5) and abs(along[2]) < 1e-5 * abs(along[0])
 
 
 def test_the_share_is_found_in_ever_fewer_iterations():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.inversion.priors import NoiseUnits, bound_prior
+from cloudtomo_cl.inversion.priors import NoiseUnits, stage_prior
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.scene.grid import Grid
 
@@ -31,7 +31,7 @@ class Short(Squares):
 
 
 def test_an_own_prior_is_in_the_unit_of_the_data_term():
-    value, gradient = bound_prior(Squares(), VOXELS, None).value_and_gradient(EXTINCTION, UNITS)
+    value, gradient = stage_prior(Squares(), VOXELS, None).value_and_gradient(EXTINCTION, UNITS)
     assert value == 14 * 17
     np.testing.assert_array_equal(gradient, 14 * EXTINCTION)
 
@@ -39,16 +39,16 @@ def test_an_own_prior_is_in_the_unit_of_the_data_term():
 @pytest.mark.parametrize(("prior", "message"), [(Infinite(), "Infinite .* not finite"), (Short(), "shape")])
 def test_what_an_own_prior_may_not_return_is_named(prior, message):
     with pytest.raises(DataError, match=message):
-        bound_prior(prior, VOXELS, None).value_and_gradient(EXTINCTION, UNITS)
+        stage_prior(prior, VOXELS, None).value_and_gradient(EXTINCTION, UNITS)
 
 
 def test_what_is_no_prior_is_refused():
     with pytest.raises(DataError, match="prior is a float"):
-        bound_prior(3.0, VOXELS, None)
+        stage_prior(3.0, VOXELS, None)
 
 
 @pytest.mark.parametrize(("own", "bound"), [(0.25, 14 * 0.25), (-1.0, 0.0)])
 def test_an_own_curvature_is_in_the_same_unit_and_never_negative(own, bound):
     prior = Squares()
     prior.curvature = lambda extinction, voxels: own
-    np.testing.assert_array_equal(bound_prior(prior, VOXELS, None).curvature(EXTINCTION, UNITS), [bound, bound])
+    np.testing.assert_array_equal(stage_prior(prior, VOXELS, None).curvature(EXTINCTION, UNITS), [bound, bound])

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.inversion.bound_prior import NoiseUnits
 from cloudtomo_cl.inversion.mixture import Mixture
 from cloudtomo_cl.inversion.mixture_file import MixtureFile, read_mixtures
 from cloudtomo_cl.inversion.mixture_fit import cloudy_patches, fitted_mixture
 from cloudtomo_cl.inversion.patch_operator import PatchOperator, PatchQuadratic
-from cloudtomo_cl.inversion.patch_prior import BoundPatches, voxels_of_cloud
+from cloudtomo_cl.inversion.patch_prior import StagePatches, voxels_of_cloud
 from cloudtomo_cl.inversion.patches import Patches
-from cloudtomo_cl.inversion.priors import PatchPrior, Prior, bound_prior
+from cloudtomo_cl.inversion.priors import PatchPrior, Prior, stage_prior
 from cloudtomo_cl.inversion.relative_prior import RelativePrior, mean_extinction
+from cloudtomo_cl.inversion.stage_prior import NoiseUnits
 from cloudtomo_cl.inversion.vectors import Vectors
 
 SIZE = (3, 3, 3)
@@ -55,7 +55,7 @@ def mixture(random):
 
 @pytest.fixture
 def bound(voxels, mixture, device):
-    return BoundPatches(PatchOperator(Patches(voxels, SIZE), mixture, device), STRENGTH, NOISE)
+    return StagePatches(PatchOperator(Patches(voxels, SIZE), mixture, device), STRENGTH, NOISE)
 
 
 def patches_by_hand(voxels, u, size=SIZE):
@@ -116,9 +116,9 @@ def test_clear_patches_of_a_cloud_of_few_voxels_count_in_full(random, device):
     cloud, far = np.zeros((2, 9, 9, 9))
     cloud[:2, :2, :2], far[6, 6, 6] = 1.0, 1.0
     operator = PatchOperator(Patches(voxels, SIZE), mixture_of(random), device)
-    step = BoundPatches(operator, STRENGTH, NOISE).frozen(cloud.ravel())
+    step = StagePatches(operator, STRENGTH, NOISE).frozen(cloud.ravel())
     expected = UNITS.weighted * 1.3 / (0.02**2 + 0.05**2)
-    assert step.stiffness(far.reshape(-1, 1), UNITS)[:, 0] == pytest.approx(expected * far.ravel())
+    assert step.hessian_times(far.reshape(-1, 1), UNITS)[:, 0] == pytest.approx(expected * far.ravel())
 
 
 def test_a_cloud_of_equal_voxels_has_as_many():
@@ -130,7 +130,7 @@ def test_the_steps_stiffness_is_the_second_derivative_of_its_value(voxels, bound
     step = RelativePrior(bound, 1.0).frozen(cloud)
     direction = random.random(len(voxels))
     change = step.value_and_gradient(cloud + direction, UNITS)[1] - step.value_and_gradient(cloud, UNITS)[1]
-    np.testing.assert_allclose(step.stiffness(direction[:, None], UNITS)[:, 0], change, rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(step.hessian_times(direction[:, None], UNITS)[:, 0], change, rtol=1e-3, atol=1e-5)
 
 
 def test_perturbations_have_the_stiffness_as_covariance(voxels, bound, cloud):
@@ -139,7 +139,7 @@ def test_perturbations_have_the_stiffness_as_covariance(voxels, bound, cloud):
     random = np.random.default_rng(3)
     direction = random.random(len(voxels))
     draws = [step.perturbation(random, UNITS) @ direction for _ in range(2000)]
-    expected = UNITS.both * direction @ step.stiffness(direction[:, None], UNITS)[:, 0]
+    expected = UNITS.both * direction @ step.hessian_times(direction[:, None], UNITS)[:, 0]
     assert np.var(draws) == pytest.approx(expected, rel=0.13)
 
 
@@ -148,7 +148,7 @@ def test_perturbations_have_the_stiffness_as_covariance(voxels, bound, cloud):
 )
 @pytest.mark.parametrize("factor", [0.2, 5.0])
 def test_a_cloud_and_a_brighter_one_of_its_shape_are_as_likely(voxels, cloud, device, prior, factor):
-    own = bound_prior(prior, voxels, device)
+    own = stage_prior(prior, voxels, device)
     value, gradient = own.value_and_gradient(cloud, UNITS)
     scaled_value, scaled = own.value_and_gradient(factor * cloud, UNITS)
     assert scaled_value == pytest.approx(value, rel=1e-4)
@@ -159,13 +159,13 @@ def test_a_cloud_and_a_brighter_one_of_its_shape_are_as_likely(voxels, cloud, de
     "prior", [PatchPrior(), Prior(monotonicity=1.0, reference=46.0)], ids=["patches", "smoothness"]
 )
 def test_a_step_from_a_brighter_cloud_of_the_same_shape_is_as_stiff_for_its_brightness(voxels, cloud, device, prior):
-    own, change = bound_prior(prior, voxels, device), np.ones((len(voxels), 1))
-    stiffness, scaled = (own.frozen(by * cloud).stiffness(change, UNITS) for by in (1.0, 5.0))
+    own, change = stage_prior(prior, voxels, device), np.ones((len(voxels), 1))
+    stiffness, scaled = (own.frozen(by * cloud).hessian_times(change, UNITS) for by in (1.0, 5.0))
     np.testing.assert_allclose(25 * scaled, stiffness, rtol=1e-3, atol=1e-4 * np.abs(stiffness).max())
 
 
 def test_the_numbers_of_a_prior_without_a_reference_hold_as_they_stand(voxels, cloud, device):
-    given = bound_prior(Prior(sparsity=0.0, reference=0.0), voxels, device)
+    given = stage_prior(Prior(sparsity=0.0, reference=0.0), voxels, device)
     value, scaled = (given.value_and_gradient(by * cloud, UNITS)[0] for by in (1.0, 2.0))
     assert scaled == pytest.approx(4 * value, rel=1e-5)
 
@@ -173,14 +173,14 @@ def test_the_numbers_of_a_prior_without_a_reference_hold_as_they_stand(voxels, c
 def test_a_prior_at_its_reference_is_the_one_as_its_numbers_stand(voxels, cloud, device):
     reference = mean_extinction(cloud)
     values = [
-        bound_prior(Prior(monotonicity=0.5, reference=number), voxels, device).value_and_gradient(cloud, UNITS)[0]
+        stage_prior(Prior(monotonicity=0.5, reference=number), voxels, device).value_and_gradient(cloud, UNITS)[0]
         for number in (0.0, reference)
     ]
     assert values[1] == pytest.approx(values[0], rel=1e-6)
 
 
 def test_clear_air_costs_nothing(voxels, device):
-    value, gradient = bound_prior(PatchPrior(), voxels, device).value_and_gradient(np.zeros(len(voxels)), UNITS)
+    value, gradient = stage_prior(PatchPrior(), voxels, device).value_and_gradient(np.zeros(len(voxels)), UNITS)
     assert value == 0 and not gradient.any()
 
 
@@ -241,7 +241,7 @@ def test_a_steps_term_has_its_gradient_and_its_second_derivative(voxels, bound, 
     term.add_product(vectors.of(direction), product)
     expected = scale * step.value_and_gradient(cloud / 20, UNITS)[1]
     np.testing.assert_allclose(gradient.get(), expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
-    expected = scale**2 * step.stiffness(direction[:, None], UNITS)[:, 0]
+    expected = scale**2 * step.hessian_times(direction[:, None], UNITS)[:, 0]
     np.testing.assert_allclose(product.get(), expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
 
 

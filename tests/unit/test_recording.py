@@ -117,7 +117,7 @@ class Diagonal:
         self.vectors.add(-1.0, self.slope, result)
 
     def add_product(self, x, result):
-        self.vectors.launch("add_damped", transposed=self.zeros, stiffness=self.diagonal, change=x, result=result)
+        self.vectors.launch("add_damped", transposed=self.zeros, damping=self.diagonal, change=x, result=result)
 
 
 @pytest.mark.parametrize("iterations", [1, 2, 30])

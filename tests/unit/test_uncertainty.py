@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from dense_term import DenseTerm
 
-from cloudtomo_cl.inversion.bound_prior import NoiseUnits
 from cloudtomo_cl.inversion.noisy_model import NoisyModel
 from cloudtomo_cl.inversion.priors import roughness
-from cloudtomo_cl.inversion.terms import stiffness_of
+from cloudtomo_cl.inversion.stage_prior import NoiseUnits
+from cloudtomo_cl.inversion.terms import hessian_of
 from cloudtomo_cl.inversion.uncertainty import WIDENED, standard_errors, widening
 from cloudtomo_cl.reference.prior import smoothness_matrix
 
@@ -27,7 +27,7 @@ class Smooth:
     def curvature(self, extinction, units):
         return self.weight * np.sum(self.matrix**2, axis=0)
 
-    def stiffness(self, columns, units):
+    def hessian_times(self, columns, units):
         return self.weight * self.matrix.T @ (self.matrix @ columns)
 
     def value_and_gradient(self, extinction, units):
@@ -61,10 +61,10 @@ def found(problem, device):
 
     def made(smoothness, draws=DRAWS, correct=lambda residual: residual, estimate=FAR, gradient=0.0):
         data, prior = DenseTerm(device, jacobian, weights, correct), Smooth(matrix, smoothness)
-        stiffness = weights @ jacobian**2 + prior.curvature(None, UNITS) + 1e-3
+        hessian_diagonal = weights @ jacobian**2 + prior.curvature(None, UNITS) + 1e-3
         model = NoisyModel(
-            [data, stiffness_of(prior, UNITS, device)],
-            stiffness,
+            [data, hessian_of(prior, UNITS, device)],
+            hessian_diagonal,
             np.broadcast_to(gradient, mask.sum()),
             lambda random: data.slope(deviation * random.standard_normal(PIXELS)),
             prior,

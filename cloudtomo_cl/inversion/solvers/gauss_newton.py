@@ -15,11 +15,10 @@ from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.blas import with_one_blas_thread
 from cloudtomo_cl.inversion.annealing import InnerProblem, annealed, rescaled
-from cloudtomo_cl.inversion.bound_prior import FrozenPrior
-from cloudtomo_cl.inversion.data_term import DataTerm, Force
+from cloudtomo_cl.inversion.data_term import DataTerm, ResidualWeights
 from cloudtomo_cl.inversion.haze import without_haze
 from cloudtomo_cl.inversion.jacobian_average import JacobianAverage
-from cloudtomo_cl.inversion.mass import PAIRS, give_back, is_due, share_that_keeps_mass
+from cloudtomo_cl.inversion.mass import PAIRS, is_due, share_that_keeps_mass
 from cloudtomo_cl.inversion.noisy_model import NoisyModel
 from cloudtomo_cl.inversion.objective import cost_of_independent, error_beyond_noise, noise_of, variance_of_half
 from cloudtomo_cl.inversion.patch_operator import stencil_footprint
@@ -27,7 +26,8 @@ from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
 from cloudtomo_cl.inversion.solvers.state import not_saved, of_any_length
-from cloudtomo_cl.inversion.terms import Around, stiffness_of
+from cloudtomo_cl.inversion.stage_prior import FrozenPrior
+from cloudtomo_cl.inversion.terms import Around, hessian_of
 from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, beyond_noise, standard_errors, widening
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.memory import Footprint
@@ -64,10 +64,10 @@ class GaussNewtonState:
     iterations : done so far
     fitted : of these, how many began where the model fitted the images
     misfit : mean square of the images' residuals where the last one began, in that of noise alone
-    returned : share of the prior's pull on the mass that steps take back (`mass`)
+    mass_share : of the prior's pull on the mass, which steps take back (`mass`)
     motions : of the views, shape (views, 3), as the next iteration renders them (`scene.pointing`)
-    streams, walked, turned : of the derivatives: random numbers, shape (iterations,), extinctions, (iterations,
-        voxels), and the views' motions, (iterations, views, 3)
+    streams, extinctions, view_motions : of the iterations whose derivatives are averaged: of random numbers, shape
+        (iterations,); where they were made, km^-1, (iterations, voxels); and how views stood, (iterations, views, 3)
     derivatives : their average; made again from the above after a resume
     """
 
@@ -77,11 +77,11 @@ class GaussNewtonState:
     iterations: int
     fitted: int
     misfit: float
-    returned: float
+    mass_share: float
     motions: np.ndarray
     streams: np.ndarray = of_any_length()
-    walked: np.ndarray = of_any_length()
-    turned: np.ndarray = of_any_length()
+    extinctions: np.ndarray = of_any_length()
+    view_motions: np.ndarray = of_any_length()
     derivatives: JacobianAverage | None = not_saved(default=None)
 
     @property
@@ -146,8 +146,8 @@ class GaussNewton:
         motions = np.zeros_like(problem.active.calibration.motion_errors)
         if problem.motions is not None:
             motions = problem.motions
-        streams, turned = np.zeros(0, np.int64), np.zeros((0, *motions.shape))
-        return GaussNewtonState(start, nothing, nothing, 0, 0, 0.0, 0.0, motions, streams, none, turned)
+        streams, no_motions = np.zeros(0, np.int64), np.zeros((0, *motions.shape))
+        return GaussNewtonState(start, nothing, nothing, 0, 0, 0.0, 0.0, motions, streams, none, no_motions)
 
     @with_one_blas_thread
     def step(
@@ -162,16 +162,16 @@ class GaussNewton:
         problem = self._sampled(problem)
         derivatives = _derivatives_of(problem, state, seed)
         seen = problem.with_motions(state.motions)
-        walked = derivatives.add(seen, state.extinction, seed, stream)
-        more = walked.samples * self._times_more(problem, state, walked)
-        rendering = _with_more_paths(seen, walked, more, state.extinction, seed, stream)
+        first = derivatives.add(seen, state.extinction, seed, stream)
+        more = first.samples * self._times_more(problem, state, first)
+        rendering = _with_more_paths(seen, first, more, state.extinction, seed, stream)
         cost, error = _cost(problem, rendering.halves, state)
         state = _with_image(problem, state, rendering)
         state = replace(
             state,
             streams=np.append(state.streams, stream),
-            walked=np.concatenate([state.walked, state.extinction[None].astype(np.float32)]),
-            turned=np.concatenate([state.turned, state.motions[None]]),
+            extinctions=np.concatenate([state.extinctions, state.extinction[None].astype(np.float32)]),
+            view_motions=np.concatenate([state.view_motions, state.motions[None]]),
             derivatives=derivatives,
         )
         prior, state = self._minimised(problem, state, seed, stream)
@@ -182,15 +182,15 @@ class GaussNewton:
         samples = problem.samples or max(2, 2 * round(self.paths * problem.default_samples / 2))
         return replace(problem, samples=samples)
 
-    def _times_more(self, problem: Problem, state: GaussNewtonState, walked: Rendering) -> int:
+    def _times_more(self, problem: Problem, state: GaussNewtonState, first: Rendering) -> int:
         """How many times as many paths as derivatives are made of the images have beside them.
 
         No more than it takes for their noise to be small beside the misfit, or beside that of the measured images.
         """
-        cost, error = _cost(problem, walked.halves, state)
+        cost, error = _cost(problem, first.halves, state)
         measured = noise_of(problem.active.variance, problem.weights)
         bearable = max(_NOISE_OF_MISFIT * (cost - 2 * error), _NOISE_OF_MEASURED * measured)
-        noise = noise_of(walked.standard_error**2, problem.weights)
+        noise = noise_of(first.standard_error**2, problem.weights)
         if noise >= (1 + self.image_samples) * bearable:
             return self.image_samples
         return max(ceil(noise / bearable) - 1, 0)
@@ -212,8 +212,8 @@ class GaussNewton:
         calibration = problem.active.calibration.in_unit(max(problem.active.unit, unexplained))
         damping = self.damping * max(0.5 ** (state.iterations - 1), 0.1)
         device = problem.operator.device
-        force = Force(weights, calibration, state.image, device)
-        data = DataTerm(jacobian, force, misfit, state.extinction, damping * curvature)
+        residual_weights = ResidualWeights(weights, calibration, state.image, device)
+        data = DataTerm(jacobian, residual_weights, misfit, state.extinction, damping * curvature)
         units = problem.units(state.modelled_noise(problem))
 
         fits = unexplained <= _FITTING * units.both
@@ -224,12 +224,14 @@ class GaussNewton:
             units = replace(units, weight=units.weight * float(beyond_noise(depth)))
         anneals = fits and getattr(problem.prior, "chooses", False)
         minimum, iteration = (annealed, None) if anneals else (rescaled, state.iterations - 1)
-        stiffness = curvature * (1 + damping) + LEAST_CURVATURE * curvature.mean()
+        hessian_diagonal = curvature * (1 + damping) + LEAST_CURVATURE * curvature.mean()
         upper = trusted(state.extinction, problem.grid)
-        inner = InnerProblem(problem, data, stiffness, units, upper, state.returned, self.inner_iterations, iteration)
+        inner = InnerProblem(
+            problem, data, hessian_diagonal, units, upper, state.mass_share, self.inner_iterations, iteration
+        )
         if fits and is_due(state.fitted):
             share = _share_by(minimum, inner, state, jacobian, np.random.default_rng([seed, stream]))
-            inner, state = replace(inner, returned=share), replace(state, returned=share)
+            inner, state = replace(inner, mass_share=share), replace(state, mass_share=share)
         value = inner.prior_value(state.extinction)
         extinction = minimum(inner, state.extinction)
         if anneals:
@@ -249,20 +251,19 @@ class GaussNewton:
         if not state.iterations or not problem.active.standard_error.any():
             return None
         jacobian = _derivatives_of(self._sampled(problem), state, seed).jacobian
-        prior = problem.prior.frozen(state.extinction)
-        give_back(prior, state.extinction, state.returned)
+        prior = problem.prior.frozen(state.extinction, mass_share=state.mass_share)
         wider = widening(state.misfit, state.extinction * problem.grid.mean_chord)
         return wider * standard_errors(_noisy_model(problem, state, jacobian, prior), draws, seed)
 
 
 def _with_more_paths(
-    problem: Problem, walked: Rendering, more: int, extinction: np.ndarray, seed: int, stream: int
+    problem: Problem, first: Rendering, more: int, extinction: np.ndarray, seed: int, stream: int
 ) -> Rendering:
     """The rendering that derivatives were made of, with more paths a pixel for the images."""
     if not more:
-        return walked
+        return first
     values = problem.on_grid(extinction)
-    return pooled(walked, problem.operator.render(values, more, seed, stream, first_sample=walked.samples))
+    return pooled(first, problem.operator.render(values, more, seed, stream, first_sample=first.samples))
 
 
 def trusted(extinction: np.ndarray, grid: Grid) -> np.ndarray:
@@ -284,9 +285,9 @@ def _derivatives_of(problem: Problem, state: GaussNewtonState, seed: int) -> Jac
     if state.derivatives is not None:
         return state.derivatives
     # What lies near a line of sight is decided once a stage: by the views as they then stand.
-    begun = state.turned[0] if len(state.turned) else state.motions
+    begun = state.view_motions[0] if len(state.view_motions) else state.motions
     derivatives = JacobianAverage(problem.with_motions(begun), tail_rate)
-    for number, (stream, extinction, motions) in enumerate(zip(state.streams, state.walked, state.turned)):
+    for number, (stream, extinction, motions) in enumerate(zip(state.streams, state.extinctions, state.view_motions)):
         _LOGGER.info("replaying the paths of iteration %d of %d", number + 1, len(state.streams))
         derivatives.add(problem.with_motions(motions), extinction, seed, int(stream))
     return derivatives
@@ -296,12 +297,12 @@ def _share_by(
     minimum: Callable[[InnerProblem, np.ndarray], np.ndarray], inner: InnerProblem, state: GaussNewtonState,
     jacobian: Jacobian, random: np.random.Generator,
 ) -> float:  # fmt: skip
-    """The share of the prior's pull on the mass that steps take back (`mass`), if they find minima so.
+    """The share of the prior's pull on the mass that steps take back (`mass`), by this step's way to its minimum.
 
     Without bounds upwards: those of a step hold gains back but not losses, while step after step goes on gaining.
     """
     problem, extinction = inner.problem, state.extinction
-    if not give_back(problem.prior.frozen(extinction), extinction, 0.0):
+    if not getattr(problem.prior, "corrects_mass", False):
         return 0.0
     data, slope_of_noise = _simulated_images(problem, state, jacobian)
     noise = np.column_stack([slope_of_noise(random) for _ in range(PAIRS)])
@@ -309,7 +310,7 @@ def _share_by(
     def recovered(slope: np.ndarray, share: float) -> np.ndarray:
         images = Around([data], extinction, slope, problem.operator.device)
         unbounded = np.full_like(extinction, np.inf)
-        return minimum(replace(inner, data=images, upper=unbounded, returned=share), extinction)
+        return minimum(replace(inner, data=images, upper=unbounded, mass_share=share), extinction)
 
     return share_that_keeps_mass(recovered, extinction, noise)
 
@@ -320,8 +321,8 @@ def _simulated_images(
     """The data term of the linear model at the extinction of a state, and draws of what noise adds to its slope."""
     active, image, extinction = problem.active, state.image, state.extinction
     calibration, weights = active.calibration, problem.weights
-    force = Force(weights, calibration, image, problem.operator.device)
-    data = DataTerm(jacobian, force, _misfit(problem, state), extinction, np.zeros_like(extinction))
+    residual_weights = ResidualWeights(weights, calibration, image, problem.operator.device)
+    data = DataTerm(jacobian, residual_weights, _misfit(problem, state), extinction, np.zeros_like(extinction))
     deviation = np.sqrt(active.variance + state.variance)
 
     def slope_of_noise(random: np.random.Generator) -> np.ndarray:
@@ -336,9 +337,9 @@ def _noisy_model(problem: Problem, state: GaussNewtonState, jacobian: Jacobian, 
     device, extinction, units = problem.operator.device, state.extinction, problem.units(state.modelled_noise(problem))
     data, slope_of_noise = _simulated_images(problem, state, jacobian)
     curvature = jacobian.curvature(problem.weights)
-    stiffness = curvature + prior.curvature(extinction, units) + LEAST_CURVATURE * curvature.mean()
-    terms = [data, stiffness_of(prior, units, device)]
-    return NoisyModel(terms, stiffness, data.slope, slope_of_noise, prior, units, extinction, device)
+    hessian_diagonal = curvature + prior.curvature(extinction, units) + LEAST_CURVATURE * curvature.mean()
+    terms = [data, hessian_of(prior, units, device)]
+    return NoisyModel(terms, hessian_diagonal, data.gradient_at_start, slope_of_noise, prior, units, extinction, device)
 
 
 def _misfit(problem: Problem, state: GaussNewtonState) -> np.ndarray:
