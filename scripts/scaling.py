@@ -36,11 +36,12 @@ def timed_methods(ranks: Any) -> dict[str, list[tuple[Any, str]]]:
     """What is timed, by kind; what is told other ranks is part of the other kinds, too."""
     from cloudtomo_cl.inversion.patch_operator import PatchOperator, PatchQuadratic
     from cloudtomo_cl.transport.derivatives import RadianceTable
-    from cloudtomo_cl.transport.jacobian import Jacobian, JacobianSums
+    from cloudtomo_cl.transport.jacobian import Jacobian
+    from cloudtomo_cl.transport.jacobian_average import JacobianAverage
     from cloudtomo_cl.transport.radiance import RadianceOperator
 
     return {
-        "paths": [(RadianceOperator, "_walk"), (JacobianSums, "_add_rows")],
+        "paths": [(RadianceOperator, "_walk"), (JacobianAverage, "_add_rows")],
         "products": [(Jacobian, "times"), (Jacobian, "transposed"), (Jacobian, "curvature")],
         "prior": [
             (PatchOperator, "chosen_components"), (PatchQuadratic, "_assemble"), (PatchQuadratic, "add_product"),

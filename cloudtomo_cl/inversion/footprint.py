@@ -14,8 +14,8 @@ from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import coarsened
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
-from cloudtomo_cl.transport.near_field import about_how_many_entries
 from cloudtomo_cl.transport.radiance import footprint
+from cloudtomo_cl.transport.tiles import about_how_many_entries
 
 # On the device: the prior's arrays. On the host: extinctions of the stage and of the finest grid.
 _PRIOR_BYTES_PER_VOXEL, _HOST_BYTES_PER_VOXEL = 56, 40

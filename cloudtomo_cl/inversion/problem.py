@@ -165,15 +165,15 @@ class Problem:
         TransportError, AuditError : the device computes wrongly
         """
         from cloudtomo_cl.inversion.linear_model import LinearModel
-        from cloudtomo_cl.transport.jacobian import JacobianSums
+        from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 
         x = self._checked(x)
         rendering = self.operator.render(
             self.on_grid(x), samples or self.samples or self.default_samples, seed, stream, store_paths=True
         )
-        sums = JacobianSums(self.operator)
-        sums.add(rendering, 1.0)
-        return LinearModel(x.copy(), rendering.mean, rendering.standard_error**2, sums.jacobian, rendering)
+        derivatives = JacobianAverage(self.operator)
+        derivatives.add(rendering, 1.0)
+        return LinearModel(x.copy(), rendering.mean, rendering.standard_error**2, derivatives.jacobian, rendering)
 
     @device_errors("the cost and its gradient")
     @with_one_blas_thread

@@ -27,9 +27,9 @@ from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.seeds import checked_seed
 from cloudtomo_cl.scene.sensors import View
 from cloudtomo_cl.transport.audit import Audit, Budget, check_replays
+from cloudtomo_cl.transport.blocks import pixel_blocks
 from cloudtomo_cl.transport.in_parts import BYTES_OF_LIST, kept, on_device, pixels_at_once, render_in_parts
 from cloudtomo_cl.transport.medium import FilledMedium, Medium
-from cloudtomo_cl.transport.near_field import pixel_blocks
 from cloudtomo_cl.transport.virtual_collisions import VirtualCollisions
 
 Estimator = Literal["side-flights", "plain"]
@@ -314,7 +314,7 @@ class RadianceOperator:
         return other
 
     def _take(self, pixels: np.ndarray) -> None:
-        """Takes pixels, and deals them out among the ranks in blocks, of which Jacobians have sums (near_field.py)."""
+        """Takes pixels, and deals them out among the ranks in blocks, of which Jacobians have sums (blocks.py)."""
         self.pixels = np.ascontiguousarray(pixels, np.uint32)
         alone = self.ranks.size == 1
         self._shares = self.ranks.dealt(self.pixels if alone else pixel_blocks(self.views, self.pixels).of)

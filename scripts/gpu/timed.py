@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.scenes import Case, generated, scene_c
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.transport.jacobian import JacobianSums
+from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 from gpu.rows import Row, failed
 
 _PART = "speed"
@@ -57,7 +57,7 @@ class Works:
         self.field = self.plain.on_device(case.extinction)
         # Fluxes with open sides have no surface.
         self.fluxes_of = ct.FluxOperator(replace(case.scene, surface=ct.Surface(0.0)))
-        self.sums: JacobianSums | None = None
+        self.sums: JacobianAverage | None = None
         self.seed = 0
 
     def _timed(self, work: Callable[[], object]) -> float:
@@ -81,7 +81,7 @@ class Works:
 
     def jacobian(self, samples: int) -> float:
         rendering = self._stored(samples)
-        self.sums = self.sums or JacobianSums(self.masked)
+        self.sums = self.sums or JacobianAverage(self.masked)
         return self._timed(lambda: self.sums.add(rendering, 1.0))
 
     def fluxes(self, samples: int) -> float:

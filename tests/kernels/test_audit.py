@@ -10,7 +10,7 @@ from scenes import ABOVE, CAMERA, SCENES, extinction_of
 from cloudtomo_cl.errors import AuditError, TransportError
 from cloudtomo_cl.transport.audit import Audit, combined
 from cloudtomo_cl.transport.derivatives import RadianceTable
-from cloudtomo_cl.transport.jacobian import JacobianSums
+from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
 SOUND = Audit(
@@ -69,7 +69,7 @@ def test_paths_that_bring_something_else_when_walked_again_are_caught(device, wa
     walks = {
         "replay": lambda: operator.gradient(rendering, np.ones((9, 2))),
         "field": lambda: RadianceTable(operator).gradient(rendering, np.ones((9, 2)), nothing),
-        "jacobian": lambda: JacobianSums(operator).add(rendering, 1.0),
+        "jacobian": lambda: JacobianAverage(operator).add(rendering, 1.0),
     }
     nothing = pyopencl.array.zeros(device.queue, scene.grid.shape, np.float32)
     walks[walk]()

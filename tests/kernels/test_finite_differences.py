@@ -18,7 +18,7 @@ from cloudtomo_cl.scene.phase import HenyeyGreenstein
 from cloudtomo_cl.scene.scene import Cloud, Scene, Sun, Surface
 from cloudtomo_cl.scene.sensors import OrthographicView
 from cloudtomo_cl.transport.derivatives import RadianceTable
-from cloudtomo_cl.transport.jacobian import JacobianSums
+from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
 FINE = Grid(shape=(8, 8, 6), spacing=(0.04, 0.04, 0.05), origin=(0.0, 0.0, 0.1))
@@ -92,7 +92,7 @@ def test_the_gradient_and_the_jacobian_by_the_table(device, shape):
     scene, values = cloud(shape)
     operator = RadianceOperator(scene, VIEWS, device, mask=np.ones(shape, bool))
     table, nothing = RadianceTable(operator), pyopencl.array.zeros(device.queue, shape, np.float32)
-    sums, gradients = JacobianSums(operator), []
+    sums, gradients = JacobianAverage(operator), []
     for iteration in range(8):
         rendering = operator.render(values, 600, 3, iteration + 1, store_paths=True)
         if iteration % 2:

@@ -9,15 +9,10 @@ import pytest
 import cloudtomo_cl as ct
 from cloudtomo_cl.opencl.layout import TILE_WIDTH
 from cloudtomo_cl.scene.scene import Boundary
+from cloudtomo_cl.transport.blocks import pixel_blocks, voxel_blocks
 from cloudtomo_cl.transport.derivatives import RadianceTable
-from cloudtomo_cl.transport.jacobian import JacobianSums
-from cloudtomo_cl.transport.near_field import (
-    about_how_many_entries,
-    lines_of_sight,
-    pixel_blocks,
-    tiles_of,
-    voxel_blocks,
-)
+from cloudtomo_cl.transport.jacobian_average import JacobianAverage
+from cloudtomo_cl.transport.tiles import about_how_many_entries, lines_of_sight, tiles_of
 
 GRID = ct.Grid(shape=(11, 9, 10), spacing=(0.04, 0.05, 0.03), origin=(0.2, -0.1, 0.3))
 SCENE = ct.Scene(grid=GRID, sun=ct.Sun(zenith=40.0, azimuth=30.0), surface=ct.Surface(albedo=0.2))
@@ -37,7 +32,7 @@ def prepared(scene, extinction, device, samples=8):
     mask = extinction > 0
     operator = ct.RadianceOperator(scene, VIEWS, device, mask=mask)
     rendering = operator.render(extinction, samples, seed=3, stream=1, store_paths=True)
-    sums = JacobianSums(operator)
+    sums = JacobianAverage(operator)
     sums.add(rendering, 1.0)
     return operator, rendering, sums
 
@@ -47,9 +42,9 @@ def pattern(structure):
     import pyopencl as cl
 
     start = np.empty(structure.pixels + 1, np.uint32)
-    cl.enqueue_copy(structure.device.queue, start, structure.row_start)
+    cl.enqueue_copy(structure.device.queue, start, structure.near.start)
     found = np.zeros((structure.pixels, structure.voxels), bool)
-    columns = structure.columns.get()
+    columns = structure.near.columns.get()
     for row in range(structure.pixels):
         found[row, columns[start[row] : start[row + 1]]] = True
     return found
@@ -83,11 +78,11 @@ def test_a_tile_is_around_the_line_of_sight(extinction, device, horizontal):
 @pytest.mark.parametrize(("counted", "error"), [(1000, 0.0), (60, 0.3)])
 def test_entries_are_counted_before_there_are_any(extinction, device, monkeypatch, horizontal, counted, error):
     """To know how much memory they take: all of these few pixels, or 60 of them (four standard errors)."""
-    monkeypatch.setattr("cloudtomo_cl.transport.near_field._COUNTED", counted)
+    monkeypatch.setattr("cloudtomo_cl.transport.tiles._COUNTED", counted)
     scene = replace(SCENE, boundary=Boundary(horizontal=horizontal))
     operator, _, sums = prepared(scene, extinction, device, samples=2)
     found = about_how_many_entries(VIEWS, operator.pixels, scene, operator.mask)
-    assert found == pytest.approx(sums.structure.entries, rel=error)
+    assert found == pytest.approx(sums.structure.near.count, rel=error)
 
 
 @pytest.mark.parametrize("horizontal", ["open", "periodic"])
@@ -126,7 +121,7 @@ def test_averages_weigh_renderings_by_their_rate(extinction, device, random):
     alone = sums.jacobian @ x
     second = operator.render(0.5 * extinction, 8, seed=3, stream=2, store_paths=True)
     sums.add(second, 0.25)
-    other = JacobianSums(operator)
+    other = JacobianAverage(operator)
     other.add(first, 1.0)
     other.add(second, 1.0)
     np.testing.assert_allclose(sums.jacobian @ x, 0.75 * alone + 0.25 * (other.jacobian @ x), rtol=1e-3, atol=1e-7)
@@ -136,7 +131,7 @@ def test_launches_and_blocks_of_rows_change_no_bit(extinction, device, monkeypat
     x = random.normal(size=int((extinction > 0).sum()))
     found = []
     for slots, launch in ((1 << 24, 1 << 18), (1000, 1 << 10)):
-        monkeypatch.setattr("cloudtomo_cl.transport.jacobian._SLOTS_AT_ONCE", slots)
+        monkeypatch.setattr("cloudtomo_cl.transport.jacobian_average.SLOTS_AT_ONCE", slots)
         monkeypatch.setattr("cloudtomo_cl.opencl.device._FIRST_LAUNCH", launch)
         found.append(prepared(SCENE, extinction, device)[2].jacobian @ x)
     np.testing.assert_array_equal(*found)
@@ -155,5 +150,5 @@ def test_blocks_have_each_member_once():
 
 def test_blocks_of_voxels_grow_with_the_number_of_pixels(monkeypatch):
     mask = np.ones((16, 16, 16), bool)
-    monkeypatch.setattr("cloudtomo_cl.transport.near_field.MOST_PAIRS", 64 * 100)
+    monkeypatch.setattr("cloudtomo_cl.transport.blocks.MOST_PAIRS", 64 * 100)
     assert len(voxel_blocks(mask, 10)) == 512 and len(voxel_blocks(mask, 100)) == 64

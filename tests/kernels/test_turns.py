@@ -11,7 +11,7 @@ from cloudtomo_cl.opencl import device as device_module
 from cloudtomo_cl.opencl.device import choose_device
 from cloudtomo_cl.transport.audit import Budget
 from cloudtomo_cl.transport.derivatives import RadianceTable
-from cloudtomo_cl.transport.jacobian import JacobianSums
+from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 
 SAMPLES = 500
 CHOSEN = ["forward peak", "air, ground, periodic", "phase table"]
@@ -64,7 +64,7 @@ def derivatives(operator, extinction):
     rendering = operator.render(extinction, SAMPLES, seed=4, store_paths=True)
     adjoint = np.linspace(-1, 1, 2 * len(operator.pixels)).reshape(-1, 2)
     adjoint[3] = 0.0  # paths that are left out
-    sums = JacobianSums(operator)
+    sums = JacobianAverage(operator)
     sums.add(rendering, 1.0)
     change = operator.device.array(np.full(extinction.shape, 0.5, np.float32))
     by_table, tangent = RadianceTable(operator).gradient(rendering, adjoint, change)

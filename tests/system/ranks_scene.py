@@ -7,7 +7,7 @@ import numpy as np
 
 import cloudtomo_cl as ct
 from cloudtomo_cl.transport.derivatives import RadianceTable
-from cloudtomo_cl.transport.jacobian import JacobianSums
+from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 
 GRID = ct.Grid(shape=(6, 6, 5), spacing=(0.1, 0.1, 0.1))
 SCENE = ct.Scene(grid=GRID, sun=ct.Sun(zenith=30.0))
@@ -63,7 +63,7 @@ def derivatives(device):
     for turn in range(2):
         yield f"table gradient {turn}", digest(*table.gradient(rendering, adjoint, change))
     yield "table", digest(table._diffuse, table._sunlight)
-    sums = JacobianSums(operator)
+    sums = JacobianAverage(operator)
     sums.add(rendering, 1.0)
     sums.add(operator.render(values / 2, 4, seed=1, stream=2, store_paths=True), 0.5)
     x, y = random.normal(size=(mask.sum(), 3)), random.normal(size=(len(operator.pixels), 3))

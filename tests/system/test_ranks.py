@@ -135,9 +135,9 @@ def test_one_rank_writes_the_checkpoint_and_tells_of_iterations():
 def test_rows_of_a_jacobian_are_fewer_on_each_rank(device):
     def entries(own):
         operator = ct.RadianceOperator(SCENE, RING, own, mask=np.ones(GRID.shape, bool))
-        from cloudtomo_cl.transport.jacobian import JacobianSums
+        from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 
-        return own.ranks.all(JacobianSums(operator).structure.entries)
+        return own.ranks.all(JacobianAverage(operator).structure.near.count)
 
     (whole,), parts = on_devices([0], entries), on_devices([0] * 3, entries)
     assert sum(parts) == whole and max(parts) < 0.5 * whole

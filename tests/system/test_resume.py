@@ -14,7 +14,7 @@ import cloudtomo_cl as ct
 from cloudtomo_cl.commands.cli import main
 from cloudtomo_cl.errors import DataError, DeviceError, TransportError
 from cloudtomo_cl.transport.derivatives import RadianceTable
-from cloudtomo_cl.transport.jacobian import JacobianSums
+from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 
 STAGES = (
     ct.Stage(grid=(3, 3, 3), pixels=0.5, samples=8, iterations=3),
@@ -230,7 +230,7 @@ def read_bits(folder):
 
 
 def test_a_run_that_fails_goes_on_with_the_same_bits(folder, finished, monkeypatch, capsys):
-    original, calls = JacobianSums.add, []
+    original, calls = JacobianAverage.add, []
 
     def fail(self, *arguments):
         calls.append(1)
@@ -238,7 +238,7 @@ def test_a_run_that_fails_goes_on_with_the_same_bits(folder, finished, monkeypat
             raise DeviceError("the device fell off the bus")
         return original(self, *arguments)
 
-    monkeypatch.setattr(JacobianSums, "add", fail)
+    monkeypatch.setattr(JacobianAverage, "add", fail)
     assert main(COMMAND) == 2
     message = capsys.readouterr().err
     assert "fell off the bus" in message and "--resume" in message and "checkpoint.npz" in message
@@ -314,7 +314,7 @@ def test_a_gradient_that_is_no_number_names_its_voxel(problem, device, monkeypat
 
 def test_a_derivative_that_is_no_number_is_not_passed_over(problem, device, monkeypatch):
     """A minimiser that meets NaN may return where it began."""
-    original = JacobianSums._add_rows
+    original = JacobianAverage._add_rows
 
     def spoilt(self, *arguments):
         original(self, *arguments)
@@ -322,6 +322,6 @@ def test_a_derivative_that_is_no_number_is_not_passed_over(problem, device, monk
         values[0] = np.nan
         self._near.set(values)
 
-    monkeypatch.setattr(JacobianSums, "_add_rows", spoilt)
+    monkeypatch.setattr(JacobianAverage, "_add_rows", spoilt)
     with pytest.raises(TransportError, match=r"gradient is not finite at voxel .*stream 1"):
         recover(problem, device)

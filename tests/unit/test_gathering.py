@@ -9,7 +9,7 @@ from cloudtomo_cl.inversion.vectors import Vectors
 from cloudtomo_cl.opencl.gathering import Gathering
 from cloudtomo_cl.opencl.several import on_devices
 from cloudtomo_cl.parallel.ranks import Ranks
-from cloudtomo_cl.transport.near_field import voxel_blocks
+from cloudtomo_cl.transport.blocks import voxel_blocks
 from cloudtomo_cl.transport.voxel_shares import ROW, voxel_shares
 
 COUNT = 50

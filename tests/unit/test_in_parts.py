@@ -6,7 +6,7 @@ import pytest
 import cloudtomo_cl as ct
 from cloudtomo_cl.opencl.device import choose_device
 from cloudtomo_cl.opencl.memory import Footprint
-from cloudtomo_cl.transport.jacobian import JacobianSums
+from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 
 GRID = ct.Grid(shape=(6, 5, 4), spacing=(0.1, 0.1, 0.1))
 SCENE = ct.Scene(grid=GRID, sun=ct.Sun(zenith=30.0))
@@ -71,7 +71,7 @@ def test_paths_that_the_device_does_not_hold_are_stored_on_the_machine(device, s
     for one in devices:
         operator = ct.RadianceOperator(SCENE, [VIEW], one, mask=MASK)
         rendering = operator.render(extinction(), 8, seed=3, store_paths=True)
-        sums = JacobianSums(operator)
+        sums = JacobianAverage(operator)
         sums.add(rendering, 1.0)
         gradient = operator.gradient(rendering, np.ones((6400, 2))).get()
         found.append((rendering, gradient, sums.jacobian @ np.ones(MASK.size)))

@@ -17,7 +17,6 @@ from cloudtomo_cl.blas import with_one_blas_thread
 from cloudtomo_cl.inversion.annealing import InnerProblem, annealed, rescaled
 from cloudtomo_cl.inversion.data_term import DataTerm, ResidualWeights
 from cloudtomo_cl.inversion.haze import without_haze
-from cloudtomo_cl.inversion.jacobian_average import JacobianAverage
 from cloudtomo_cl.inversion.mass import PAIRS, is_due, share_that_keeps_mass
 from cloudtomo_cl.inversion.noisy_model import NoisyModel
 from cloudtomo_cl.inversion.objective import cost_of_independent, error_beyond_noise, noise_of, variance_of_half
@@ -35,6 +34,7 @@ from cloudtomo_cl.scene.grid import Count, Grid
 from cloudtomo_cl.scene.scene import NotNegative, Positive
 from cloudtomo_cl.transport.derivatives import table_footprint
 from cloudtomo_cl.transport.jacobian import Jacobian, jacobian_footprint
+from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 from cloudtomo_cl.transport.radiance import Rendering, pooled
 
 _LOGGER = logging.getLogger(__name__)
@@ -162,7 +162,7 @@ class GaussNewton:
         problem = self._sampled(problem)
         derivatives = _derivatives_of(problem, state, seed)
         seen = problem.with_motions(state.motions)
-        first = derivatives.add(seen, state.extinction, seed, stream)
+        first = _averaged_in(derivatives, len(state.streams), seen, state.extinction, seed, stream)
         more = first.samples * self._times_more(problem, state, first)
         rendering = _with_more_paths(seen, first, more, state.extinction, seed, stream)
         cost, error = _cost(problem, rendering.halves, state)
@@ -286,11 +286,24 @@ def _derivatives_of(problem: Problem, state: GaussNewtonState, seed: int) -> Jac
         return state.derivatives
     # What lies near a line of sight is decided once a stage: by the views as they then stand.
     begun = state.view_motions[0] if len(state.view_motions) else state.motions
-    derivatives = JacobianAverage(problem.with_motions(begun), tail_rate)
+    derivatives = JacobianAverage(problem.with_motions(begun).operator)
     for number, (stream, extinction, motions) in enumerate(zip(state.streams, state.extinctions, state.view_motions)):
         _LOGGER.info("replaying the paths of iteration %d of %d", number + 1, len(state.streams))
-        derivatives.add(problem.with_motions(motions), extinction, seed, int(stream))
+        _averaged_in(derivatives, number, problem.with_motions(motions), extinction, seed, int(stream))
     return derivatives
+
+
+def _averaged_in(
+    derivatives: JacobianAverage, iteration: int, problem: Problem, extinction: np.ndarray, seed: int, stream: int
+) -> Rendering:
+    """Renders an extinction, km^-1, shape (voxels,), and averages its derivatives in; returns the rendering.
+
+    iteration : counted from 0
+    """
+    samples = problem.samples or problem.default_samples
+    rendering = problem.operator.render(problem.on_grid(extinction), samples, seed, stream, store_paths=True)
+    derivatives.add(rendering, tail_rate(iteration))
+    return rendering
 
 
 def _share_by(

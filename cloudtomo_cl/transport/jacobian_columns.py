@@ -9,16 +9,13 @@ more than vectors.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.parallel.ranks import Shares
-
-if TYPE_CHECKING:
-    from cloudtomo_cl.transport.jacobian import NearField
-
+from cloudtomo_cl.transport.jacobian_structure import JacobianStructure
 
 # In which values change hands: what is on its way is small beside what stays.
 _PARTS = 8
@@ -27,8 +24,8 @@ FAR_PART, COLUMNS_AT_ONCE = 128, 8
 PRODUCT_FEATURES = (f"FAR_PART {FAR_PART}u", f"WIDTH {COLUMNS_AT_ONCE}u")
 
 
-class ByVoxel(Protocol):
-    """The entries of a near field by columns, as kernels take them; of voxels of other ranks there are none.
+class JacobianColumns(Protocol):
+    """A Jacobian's near and far field by columns, as kernels take them; of voxels of other ranks there are none.
 
     Attributes
     ----------
@@ -37,6 +34,7 @@ class ByVoxel(Protocol):
     block : of every voxel, among these, on the device; of other ranks' voxels any
     pixel_block : of every pixel, on the device
     start, rows : of all columns: where they begin, and their entries' pixels
+    near, far : values of the entries, in the order of the columns; of the blocks, [pixel block][voxel block]
     """
 
     shares: Shares
@@ -45,33 +43,33 @@ class ByVoxel(Protocol):
     pixel_block: Any
     start: Any
     rows: Any
+    near: DeviceArray
+    far: DeviceArray
 
-    def arrays(self, near: DeviceArray, far: DeviceArray) -> tuple[DeviceArray, DeviceArray]:
-        """What holds the values of the near and far field by columns, given those by rows."""
-        ...
-
-    def refresh(self, near: DeviceArray, far: DeviceArray, arrays: tuple[DeviceArray, DeviceArray]) -> None:
+    def refresh(self) -> None:
         """Takes values over that have changed by rows."""
         ...
 
 
-def by_voxel(structure: NearField, row_start: np.ndarray, columns: np.ndarray) -> ByVoxel:
-    """That of rows which are a rank's: where they begin, and their entries' columns."""
+def columns_of(structure: JacobianStructure, near: DeviceArray, far: DeviceArray) -> JacobianColumns:
+    """Those of a Jacobian whose values by rows, of this rank's pixels, stand in two arrays."""
     if structure.shares.ranks.size == 1:
-        return _Reordered(structure, row_start, columns)
-    return _Exchanged(structure, row_start, columns)
+        return _Reordered(structure, near, far)
+    return _Exchanged(structure, near, far)
 
 
 class _Reordered:
     """One rank has all rows: its columns have the same values in another order."""
 
-    def __init__(self, structure: NearField, row_start: np.ndarray, columns: np.ndarray) -> None:
+    def __init__(self, structure: JacobianStructure, near: DeviceArray, far: DeviceArray) -> None:
         import scipy.sparse
 
-        shape = (structure.pixels, structure.voxels)
-        by_row = scipy.sparse.csr_matrix((np.arange(len(columns), dtype=np.uint32), columns, row_start), shape)
-        by_column = by_row.tocsc()
-        self._device, self._count = structure.device, len(columns)
+        entries, shape = structure.near, (structure.pixels, structure.voxels)
+        columns = structure.device.copied(entries.columns)[: entries.count]
+        numbers = np.arange(entries.count, dtype=np.uint32)
+        by_column = scipy.sparse.csr_matrix((numbers, columns, entries.start_on_host), shape).tocsc()
+        del columns, numbers
+        self._device, self._count, self._by_row = structure.device, entries.count, near
         self.shares = structure.voxel_shares
         self.blocks = np.arange(len(structure.voxel_blocks))
         self.block, self.pixel_block = structure.block, structure.pixel_block
@@ -79,23 +77,22 @@ class _Reordered:
         self.start = constant(by_column.indptr.astype(np.uint32))
         self._entries = constant(by_column.data)
         self.rows = constant(by_column.indices.astype(np.uint32))
+        self.near, self.far = self._device.zeros(max(self._count, 1), np.float32), far
 
-    def arrays(self, near: DeviceArray, far: DeviceArray) -> tuple[DeviceArray, DeviceArray]:
-        return self._device.zeros(max(self._count, 1), np.float32), far
-
-    def refresh(self, near: DeviceArray, far: DeviceArray, arrays: tuple[DeviceArray, DeviceArray]) -> None:
+    def refresh(self) -> None:
         if self._count:
             kernel = self._device.kernel("products", "near_by_column", PRODUCT_FEATURES)
             self._device.launch(
-                kernel, self._count, count=self._count, entries=self._entries, values=near, result=arrays[0]
+                kernel, self._count, count=self._count, entries=self._entries, values=self._by_row, result=self.near
             )
 
 
 class _Exchanged:
     """Several ranks: each has the columns of its voxels, whose values the ranks of the pixels send."""
 
-    def __init__(self, structure: NearField, row_start: np.ndarray, columns: np.ndarray) -> None:
+    def __init__(self, structure: JacobianStructure, near: DeviceArray, far: DeviceArray) -> None:
         self._ranks, self._device = structure.shares.ranks, structure.device
+        self._near_by_row, self._far_by_row = near, far
         self.shares = structure.voxel_shares
         assert self.shares.owner is not None
         own_blocks = self.shares.taken(structure.voxel_blocks.of)
@@ -105,14 +102,15 @@ class _Exchanged:
         self.block = constant(block)
         self.pixel_block = constant(structure.pixel_blocks.of.astype(np.uint32))
         # In the order of pixels and slots, for every rank: so all have it.
+        columns = self._device.copied(structure.near.columns)[: structure.near.count]
         owner = self.shares.owner[columns]
         self._order = np.argsort(owner, kind="stable").astype(np.uint32)
         given = np.bincount(owner, minlength=self._ranks.size)
         taken = np.concatenate(self._ranks.exchange(list(given[:, None])))
         self._given, self._taken = _cuts(given), _cuts(taken)
-        rows = np.repeat(structure.shares.own.astype(np.int32), np.diff(row_start))
+        rows = np.repeat(structure.shares.own.astype(np.int32), np.diff(structure.near.start_on_host))
         column, row = self._exchanged(columns), self._exchanged(rows)
-        del owner, rows
+        del owner, rows, columns
         self._place = np.lexsort((row, column)).astype(np.uint32)
         counts = np.bincount(column, minlength=structure.voxels)
         del column
@@ -121,6 +119,8 @@ class _Exchanged:
         self._pixel_blocks = len(structure.pixel_blocks)
         self._rows_of = self._ranks.all(structure.row_blocks)
         self._blocks_of = self._ranks.all(self.blocks)
+        self.near = self._device.zeros(max(len(self._place), 1), np.float32)
+        self.far = self._device.zeros((self._pixel_blocks, max(len(self.blocks), 1)), np.float32)
 
     def _exchanged(self, values: np.ndarray) -> np.ndarray:
         """What belongs to the entries of this rank's columns, from what belongs to those of its rows."""
@@ -131,27 +131,23 @@ class _Exchanged:
                 result[cuts[part] : cuts[part + 1]] = taken
         return result
 
-    def arrays(self, near: DeviceArray, far: DeviceArray) -> tuple[DeviceArray, DeviceArray]:
-        shape = (self._pixel_blocks, max(len(self.blocks), 1))
-        return self._device.zeros(max(len(self._place), 1), np.float32), self._device.zeros(shape, np.float32)
-
-    def refresh(self, near: DeviceArray, far: DeviceArray, arrays: tuple[DeviceArray, DeviceArray]) -> None:
-        values = self._exchanged(self._device.copied(near)[: len(self._order)])
+    def refresh(self) -> None:
+        values = self._exchanged(self._device.copied(self._near_by_row)[: len(self._order)])
         for first, last in pairwise(_cuts(np.array([len(values)]))[0]):
             if last > first:
-                self._device.write(arrays[0].data, values[self._place[first:last]], int(first) * values.itemsize)
+                self._device.write(self.near.data, values[self._place[first:last]], int(first) * values.itemsize)
         del values
-        own = self._device.copied(far)
+        of_rank = self._device.copied(self._far_by_row)
         whole = np.empty((self._pixel_blocks, len(self.blocks)), np.float32)
         at_once = max(max(map(len, self._rows_of)) // _PARTS, 1)
         for first in range(0, max(map(len, self._rows_of)), at_once):
             rows_of = [rows[first : first + at_once] for rows in self._rows_of]
-            some = own[first : first + len(rows_of[self._ranks.rank])]
+            some = of_rank[first : first + len(rows_of[self._ranks.rank])]
             parts = self._ranks.exchange([some[:, blocks].reshape(-1) for blocks in self._blocks_of])
             for rows, part in zip(rows_of, parts):
                 whole[rows] = part.reshape(len(rows), len(self.blocks))
         if len(self.blocks):
-            self._device.write(arrays[1].data, whole)
+            self._device.write(self.far.data, whole)
 
 
 def _cuts(counts: np.ndarray) -> np.ndarray:

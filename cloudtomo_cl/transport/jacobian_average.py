@@ -1,0 +1,116 @@
+"""The average of the derivatives of several renderings."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloudtomo_cl.errors import TransportError
+from cloudtomo_cl.opencl.arrays import DeviceArray
+from cloudtomo_cl.opencl.device import device_errors
+from cloudtomo_cl.opencl.layout import DERIVATIVE_UNIT
+from cloudtomo_cl.transport.derivatives import RadianceTable
+from cloudtomo_cl.transport.jacobian import SLOTS_AT_ONCE, Jacobian
+from cloudtomo_cl.transport.jacobian_columns import columns_of
+from cloudtomo_cl.transport.jacobian_structure import JacobianStructure
+from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering
+
+# Slots of tiles whose sums are made at a time on a CPU, which is busy with fewer paths: sums take memory.
+_SLOTS_ON_CPU = 1 << 20
+
+
+class JacobianAverage:
+    """The average of the derivatives of some renderings; it is changed in place, for it is large.
+
+    Parameters
+    ----------
+    operator : with a mask
+
+    Attributes
+    ----------
+    structure : which derivatives are kept
+    jacobian : the average so far
+    """
+
+    @device_errors("the derivatives")
+    def __init__(self, operator: RadianceOperator) -> None:
+        self._operator = operator
+        self._table = operator.ranks.together(lambda: RadianceTable(operator))
+        device, structure = operator.device, JacobianStructure(operator, self._table.column)
+        self.structure = structure
+        self._near = device.zeros(max(structure.near.count, 1), np.float32)
+        self._far = device.zeros((max(len(structure.row_blocks), 1), len(structure.voxel_blocks)), np.float32)
+        self._columns = columns_of(structure, self._near, self._far)
+        self.jacobian = Jacobian(structure, self._near, self._far, self._columns)
+        self._sizes = {
+            "block_pixels": device.constant(structure.pixel_blocks.sizes[structure.row_blocks]),
+            "block_voxels": device.constant(structure.voxel_blocks.sizes),
+        }
+
+    @device_errors("the derivatives")
+    def add(self, rendering: Rendering, rate: float) -> None:
+        """Changes the average into average + rate (derivatives of a rendering that stored its paths - average).
+
+        Raises
+        ------
+        AuditError, TransportError : as `RadianceOperator.gradient`
+        """
+        self._table.prepare(rendering)
+        self._operator.ranks.together(lambda: self._add_rows(rendering, rate))
+        self._table.release()
+        self._columns.refresh()
+
+    def _add_rows(self, rendering: Rendering, rate: float) -> None:
+        """The rows of this rank's pixels."""
+        structure, operator = self.structure, self._operator
+        unit = operator.scene.sun.irradiance / rendering.samples * rate / DERIVATIVE_UNIT
+        overflown = operator.device.zeros(1, np.uint32)
+        far_sums = operator.device.zeros(self._far.shape, np.int64)
+        for first, count in self._rows():
+            sums = operator.device.zeros(max(structure.tiles.slots(first, count), 1), np.int64)
+            self._add_paths(rendering, first, count, sums, far_sums)
+            operator.device.launch(
+                operator.device.kernel("near_field", "average_near"), count, scene=structure.scene_struct,
+                column=structure.column, **structure.tiles.arguments, first_pixel=first, row_count=count,
+                row_start=structure.near.start, near_sums=sums, keep=1 - rate, unit=unit, values=self._near,
+                overflown=overflown,
+            )  # fmt: skip
+        operator.device.launch(
+            operator.device.kernel("near_field", "average_far"), self._far.size,
+            pixel_block_count=len(structure.row_blocks), block_count=len(structure.voxel_blocks), far_sums=far_sums,
+            **self._sizes, keep=1 - rate, unit=unit, far=self._far, overflown=overflown,
+        )  # fmt: skip
+        if overflown.get()[0]:
+            raise TransportError(
+                "the derivatives have left the range of their 64-bit sums, or something that is no number was added: "
+                "the optics are extreme, or the device is at fault; use fewer paths at a time, or another device"
+            )
+
+    def _add_paths(
+        self, rendering: Rendering, first: int, count: int, near_sums: DeviceArray, far_sums: DeviceArray
+    ) -> None:
+        structure = self.structure
+        device, features = self._operator.device, self._table.features
+        paths, rays = (device.kernel("jacobian", name, features) for name in ("jacobian_paths", "jacobian_rays"))
+        left = self._table.rays(rendering)
+        weight = rendering.samples / left
+        arguments = self._table.buffers | {
+            **structure.tiles.arguments, "first_pixel": first, "row_count": count, "place": structure.place,
+            "block": structure.block, "pixel_block": structure.pixel_block,
+            "block_count": len(structure.voxel_blocks), "near_sums": near_sums, "far_sums": far_sums,
+        }  # fmt: skip
+        for launch in self._operator.stored_launches(rendering):
+            launch.run_rows(paths, count, **arguments)
+            left -= launch.run_rays(rays, count, left, weight=weight, **arguments)
+
+    def _rows(self) -> list[tuple[int, int]]:
+        """Pixels whose sums are made at a time: the first, and how many."""
+        start, parts, first = self.structure.tiles.start_on_host, [], 0
+        most = SLOTS_AT_ONCE // self._operator.ranks.size
+        if not self._operator.device.regenerates:
+            most = min(most, _SLOTS_ON_CPU)
+        while first < self.structure.rows:
+            last = int(np.searchsorted(start, start[first] + most, side="right")) - 1
+            last = min(max(last, first + 1), self.structure.rows)
+            parts.append((first, last - first))
+            first = last
+        return parts
