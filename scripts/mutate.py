@@ -34,6 +34,8 @@ from mutants.mutant import Mutant
 TOP = Path(__file__).resolve().parents[1]
 FILES = ("cloudtomo_cl/inversion/**/*.py", "cloudtomo_cl/transport/*.py", "cloudtomo_cl/scene/*.py")
 UNIT, KERNELS, SYSTEM = "tests/unit/test_", "tests/kernels/test_", "tests/system/test_"
+# Derivatives by the radiance table.
+TABLE = (KERNELS + "jacobian", KERNELS + "radiance_table")
 # The tests of a file, quick ones first; the first pattern that fits. A star stands for whatever is there.
 TESTS: dict[str, tuple[str, ...]] = {
     "*/messages.py": (UNIT + "answers_in_python", UNIT + "config"),
@@ -56,7 +58,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "*/scene/phase.py": (UNIT + "phase_functions", UNIT + "phase_files", UNIT + "droplets", KERNELS + "phase"),
     "*/scene/arrays.py": (UNIT + "missing", UNIT + "python_arrays"),
     "*/scene/pixel_errors.py": (UNIT + "pixel_errors", KERNELS + "pooled_errors"),
-    "*/scene/pixels.py": (UNIT + "measurements", UNIT + "carve", KERNELS + "field"),
+    "*/scene/pixels.py": (UNIT + "measurements", UNIT + "carve", *TABLE),
     "*/scene/scene.py": (UNIT + "scene", UNIT + "config", KERNELS + "walk", KERNELS + "exact", KERNELS + "flux"),
     "*/scene/sensors.py": (UNIT + "projection", UNIT + "sensors", UNIT + "formations", UNIT + "config",
                            KERNELS + "camera", UNIT + "carve"),
@@ -64,13 +66,13 @@ TESTS: dict[str, tuple[str, ...]] = {
     "*/scene/water.py": (UNIT + "droplets", UNIT + "mie"),
     "*/transport/adaptive.py": (KERNELS + "adaptive",),
     "*/transport/audit.py": (KERNELS + "audit", UNIT + "device_errors"),
-    "*/transport/derivatives.py": (KERNELS + "field", KERNELS + "finite_differences", KERNELS + "fast_and_plain"),
+    "*/transport/derivatives.py": (*TABLE, KERNELS + "finite_differences", KERNELS + "fast_and_plain"),
     "*/transport/flux.py": (KERNELS + "flux", UNIT + "memory"),
     "*/transport/medium.py": (KERNELS + "skipping", KERNELS + "phase", KERNELS + "walk", UNIT + "bad_input",
                               KERNELS + "exact"),
     "*/transport/radiance.py": (KERNELS + "exact", UNIT + "memory", KERNELS + "random_numbers", KERNELS + "gradient",
                                 KERNELS + "audit", UNIT + "device_errors"),
-    "*/transport/*": (KERNELS + "field", KERNELS + "finite_differences", KERNELS + "tallies", SYSTEM + "problem"),
+    "*/transport/*": (*TABLE, KERNELS + "finite_differences", KERNELS + "tallies", SYSTEM + "problem"),
     "*/inversion/carving.py": (UNIT + "carve", SYSTEM + "carving"),
     "*/inversion/checkpoint.py": (UNIT + "checkpoint", SYSTEM + "resume"),
     "*/inversion/conjugate_gradients.py": (UNIT + "conjugate_gradients", UNIT + "uncertainty"),
@@ -105,16 +107,16 @@ TESTS: dict[str, tuple[str, ...]] = {
     "kernels/optimizer.cl": (KERNELS + "optimizer",),
     "kernels/flux.cl": (KERNELS + "flux",),
     "kernels/replay.cl": (KERNELS + "gradient", KERNELS + "finite_differences"),
-    "kernels/*replayed.h": (KERNELS + "gradient", KERNELS + "finite_differences", KERNELS + "field"),
+    "kernels/*replayed.h": (KERNELS + "gradient", KERNELS + "finite_differences", *TABLE),
     "kernels/*budget.h": (KERNELS + "audit", KERNELS + "flux"),
-    "kernels/derivatives.*": (KERNELS + "field", KERNELS + "finite_differences"),
-    "kernels/radiance_table.h": (KERNELS + "field", KERNELS + "finite_differences"),
-    "kernels/jacobian.cl": (KERNELS + "field", KERNELS + "finite_differences", SYSTEM + "problem"),
-    "kernels/near_field.*": (KERNELS + "field", KERNELS + "finite_differences", SYSTEM + "problem"),
-    "kernels/products.cl": (KERNELS + "field", SYSTEM + "problem"),
+    "kernels/derivatives.*": (*TABLE, KERNELS + "finite_differences"),
+    "kernels/radiance_table.h": (*TABLE, KERNELS + "finite_differences"),
+    "kernels/jacobian.cl": (*TABLE, KERNELS + "finite_differences", SYSTEM + "problem"),
+    "kernels/near_field.*": (*TABLE, KERNELS + "finite_differences", SYSTEM + "problem"),
+    "kernels/products.cl": (*TABLE, SYSTEM + "problem"),
     "kernels/*": (KERNELS + "tallies", KERNELS + "walk",
                   KERNELS + "paths", KERNELS + "exact", KERNELS + "properties", KERNELS + "gradient",
-                  KERNELS + "field", KERNELS + "flux", KERNELS + "audit"),
+                  *TABLE, KERNELS + "flux", KERNELS + "audit"),
 }  # fmt: skip
 # A mutant may be so much slower than the code before it counts as noticed, and so many seconds in any case.
 SLOWER, GRACE = 3.0, 30.0
