@@ -22,6 +22,7 @@ from cloudtomo_cl.files.netcdf import AXES, load_dataset
 from cloudtomo_cl.files.truth import read_truth
 from cloudtomo_cl.files.vti import write_vti
 from cloudtomo_cl.files.whole import written_whole
+from cloudtomo_cl.inversion.relative_prior import mean_extinction
 from cloudtomo_cl.opencl.device import choose_device
 from cloudtomo_cl.report import plots
 from cloudtomo_cl.report.page import report_page
@@ -31,8 +32,8 @@ from cloudtomo_cl.scene.metrics import delta, epsilon
 from cloudtomo_cl.scene.scene import Sun
 from cloudtomo_cl.settings.stored import kept_scene
 
-# Extinction of voxels that hold cloud, km^-1.
-_CLOUD = 1.0
+# Extinction of voxels that hold cloud, over the cloud's mean extinction: less is haze, which recoveries leave.
+_CLOUD = 0.02
 
 
 @dataclass
@@ -228,12 +229,17 @@ def _numbers(shown: _Shown) -> dict[str, str]:
     device = shown.settings.get("device")
     if isinstance(device, dict) and "name" in device:
         numbers["device"] = str(device["name"])
-    if "extinction_standard_error" in shown.result and (extinction > _CLOUD).any():
-        error = np.median(shown.result["extinction_standard_error"].transpose(*AXES).values[extinction > _CLOUD])
+    if "extinction_standard_error" in shown.result and extinction.any():
+        error = _in_cloud(shown.result["extinction_standard_error"].transpose(*AXES).values, extinction)
         numbers["typical standard error in cloud"] = f"{error:.3g} km⁻¹"
     elif "no_standard_error" in shown.result.attrs:
         numbers["standard error"] = f"not known: {shown.result.attrs['no_standard_error']}"
     return numbers
+
+
+def _in_cloud(error: np.ndarray, extinction: np.ndarray) -> float:
+    """The median of standard errors in voxels that hold cloud, however thin the cloud is; both of one shape."""
+    return float(np.median(error[extinction > _CLOUD * mean_extinction(extinction)]))
 
 
 def _if_there(path: Path, read: Any) -> Any:
