@@ -22,6 +22,7 @@ from cloudtomo_cl.files.netcdf import AXES, load_dataset
 from cloudtomo_cl.files.truth import read_truth
 from cloudtomo_cl.files.vti import write_vti
 from cloudtomo_cl.files.whole import written_whole
+from cloudtomo_cl.inversion.records import MASK, STANDARD_ERROR, VARIABLES
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
 from cloudtomo_cl.opencl.device import choose_device
 from cloudtomo_cl.report import plots
@@ -121,10 +122,10 @@ def export_vti(run: RunFolder, path: Path, quiet: bool) -> None:
     quantities = {"extinction": (shown.extinction, "km-1")}
     if shown.truth is not None:
         quantities["true_extinction"] = (shown.truth, "km-1")
-    if "extinction_standard_error" in shown.result:
-        error = shown.result["extinction_standard_error"].transpose(*AXES).values
-        quantities["extinction_standard_error"] = (error, "km-1")
-    quantities["mask"] = (run.read_reconstruction()[2], "1")
+    if STANDARD_ERROR in shown.result:
+        error = shown.result[STANDARD_ERROR].transpose(*AXES).values
+        quantities[STANDARD_ERROR] = (error, VARIABLES[STANDARD_ERROR][0])
+    quantities[MASK] = (run.read_reconstruction()[2], VARIABLES[MASK][0])
     write_vti(path, shown.grid, quantities)
     if not quiet:
         print(f"{path}: open it in ParaView or another viewer of VTK's files")
@@ -229,8 +230,8 @@ def _numbers(shown: _Shown) -> dict[str, str]:
     device = shown.settings.get("device")
     if isinstance(device, dict) and "name" in device:
         numbers["device"] = str(device["name"])
-    if "extinction_standard_error" in shown.result and extinction.any():
-        error = _in_cloud(shown.result["extinction_standard_error"].transpose(*AXES).values, extinction)
+    if STANDARD_ERROR in shown.result and extinction.any():
+        error = _in_cloud(shown.result[STANDARD_ERROR].transpose(*AXES).values, extinction)
         numbers["typical standard error in cloud"] = f"{error:.3g} km⁻¹"
     elif "no_standard_error" in shown.result.attrs:
         numbers["standard error"] = f"not known: {shown.result.attrs['no_standard_error']}"
