@@ -316,9 +316,9 @@ def _show_result(job: Job, outcome: Outcome) -> None:
         return
     ranks.check_together()
     job.say("rendering the images of the recovered cloud ...")
-    iteration = len(result.history) + 1
+    stream = len(result.history) + 1
     measurements = replace(job.measurements, views=result.views)
-    write_modelled(job.folder, job.scene, measurements, result.extinction, job.device, job.seed, iteration)
+    write_modelled(job.folder, job.scene, measurements, result.extinction, job.device, job.seed, stream)
     if job.request.with_report:
         ranks.check_together()
         job.say(f"drawing figures and {job.folder.report_file} ...")

@@ -206,8 +206,8 @@ def renew_modelled(run: RunFolder, device: str | None, quiet: bool) -> None:
         scene, _, _, made = kept_scene(run.reconstruction_file, ())
         if not quiet:
             print("rendering the images of the recovered cloud ...")
-        iteration = int(result.attrs.get("iterations", len(run.read_history()["stage"]))) + 1
-        write_modelled(run, scene, measurements, extinction, choose_device(device), made.get("seed", 0), iteration)
+        stream = int(result.attrs.get("iterations", len(run.read_history()["stage"]))) + 1
+        write_modelled(run, scene, measurements, extinction, choose_device(device), made.get("seed", 0), stream)
     except (DeviceError, SettingsError) as error:
         print(f"cloudtomo report: the images of the recovered cloud could not be rendered: {error}", file=sys.stderr)
 
