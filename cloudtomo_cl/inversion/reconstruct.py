@@ -147,8 +147,7 @@ def reconstruct(
         mask = carved_mask(scene, measurements, device) if resumed is None else resumed.mask
     question = _Question(scene, measurements, prior, checked_mask(mask, scene.grid), device)
     ranks.together(lambda: check_memory(scene, measurements, stages, device, solver, question.mask))
-    what = scene, measurements, stages, prior, solver, question.mask, truth, seed
-    identity = ranks.together(lambda: identity_of(*what))
+    identity = identity_of(scene, measurements, stages, prior, solver, question.mask, truth, seed)
     run = Run(stages, question.mask) if resumed is None else Run.resumed(stages, question.mask, resumed)
     keeper = KeepCheckpoints(Checkpoints(checkpoint, checkpoint_interval, ranks), identity, device.name)
     limit, asked = TimeLimit(time_limit, ranks), StopRequested(stop, ranks)
