@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from scipy.sparse.linalg import LinearOperator
 
-from cloudtomo_cl.errors import DataError, TransportError
+from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, device_errors
+from cloudtomo_cl.opencl.fixed_point import overflow
 from cloudtomo_cl.opencl.gathering import Gathering
 from cloudtomo_cl.opencl.layout import DERIVATIVE_UNIT, TILE_WIDTH
 from cloudtomo_cl.opencl.memory import Footprint
@@ -310,10 +311,7 @@ class JacobianSums:
             **self._sizes, keep=1 - rate, unit=unit, far=self._far, overflown=overflown,
         )  # fmt: skip
         if overflown.get()[0]:
-            raise TransportError(
-                "the derivatives have left the range of their 64-bit sums, or something that is no number was added: "
-                "the optics are extreme, or the device is at fault; use fewer paths at a time, or another device"
-            )
+            raise overflow("the Jacobian")
 
     def _add_paths(
         self, rendering: Rendering, first: int, count: int, near_sums: DeviceArray, far_sums: DeviceArray
