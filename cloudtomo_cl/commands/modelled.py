@@ -26,19 +26,19 @@ def write_modelled(
     extinction: np.ndarray,
     device: Device,
     seed: int,
-    iteration: int,
+    stream: int,
 ) -> None:
     """Renders the cloud and writes modelled.nc.
 
     Parameters
     ----------
     extinction : km^-1, shape of the scene's grid
-    iteration : of the random numbers, one that the recovery did not use
+    stream : of the random numbers, one that the recovery did not use
     """
     operator = RadianceOperator(scene, measurements.views, device)
     samples = max(FEWEST_SAMPLES, 2 * round(PATHS / len(operator.pixels) / 2))
     ranks.check_together()
-    rendering = operator.render(extinction, samples, seed, iteration, progress=stopping.check)
+    rendering = operator.render(extinction, samples, seed, stream, progress=stopping.check)
     modelled = Measurements.rendered(operator, rendering)
     attributes = {
         "title": "images of a recovered cloud",
@@ -51,7 +51,7 @@ def write_modelled(
         "cloud_file": folder.reconstruction_file.name,
         "samples": samples,
         "seed": seed,
-        "iteration": iteration,
+        "stream": stream,
     }
 
     def write() -> None:

@@ -103,9 +103,15 @@ class Job:
 
     @property
     def stored_settings(self) -> dict[str, Any]:
-        """The settings as files keep them: without the paths of other files, and with the seed that was taken."""
+        """The settings as files keep them: without measurements and truth, and with the seed that was taken."""
         kept = self.settings.model_dump(mode="json", exclude={"measurements", "truth"})
+        if kept["prior"].get("file") is not None:
+            kept["prior"]["file"] = self.from_output(kept["prior"]["file"])
         return {**kept, "run": {**kept["run"], "seed": self.seed}}
+
+    def from_output(self, file: str | Path) -> str:
+        """A file's path as seen from the run folder, so that both may move together."""
+        return os.path.relpath(file, self.request.output)
 
     def say(self, text: str) -> None:
         self.console.print(text, highlight=False, soft_wrap=True)
@@ -265,8 +271,7 @@ def _description(job: Job) -> dict[str, Any]:
     tables = (("measurements", job.settings.measurements), ("truth", job.settings.truth))
     return {
         "settings": job.stored_settings,
-        # As seen from the run folder, so that both may move together.
-        "files": {name: os.path.relpath(table.file, job.request.output) for name, table in tables if table is not None},
+        "files": {name: job.from_output(table.file) for name, table in tables if table is not None},
         "scene": stored_scene(job.scene),
         # The table itself begins with its columns' names, as every reader of such tables expects.
         "history": {name: {"units": units, "long_name": text} for name, (units, text) in COLUMNS.items()},
@@ -311,9 +316,9 @@ def _show_result(job: Job, outcome: Outcome) -> None:
         return
     ranks.check_together()
     job.say("rendering the images of the recovered cloud ...")
-    iteration = len(result.history) + 1
+    stream = len(result.history) + 1
     measurements = replace(job.measurements, views=result.views)
-    write_modelled(job.folder, job.scene, measurements, result.extinction, job.device, job.seed, iteration)
+    write_modelled(job.folder, job.scene, measurements, result.extinction, job.device, job.seed, stream)
     if job.request.with_report:
         ranks.check_together()
         job.say(f"drawing figures and {job.folder.report_file} ...")

@@ -58,7 +58,7 @@ class Job:
     operators, extinctions : one, or one for each wavelength; km^-1, shape of the scenes' grid
     effective_radius : micrometres, of that shape
     samples, target_error : at least one of them; the target decides, and the samples are then the most
-    iteration : of the random numbers: images of a recovered cloud have some of their own
+    stream : of the random numbers: images of a recovered cloud have some of their own
     cloud_file : the name of the file that the cloud is from
     """
 
@@ -69,7 +69,7 @@ class Job:
     samples: int | None
     target_error: float | None
     seed: int
-    iteration: int
+    stream: int
     noise: Noise | None
     cloud_file: str
 
@@ -81,7 +81,7 @@ class Job:
     def how(self) -> dict[str, Any]:
         """The number of paths as the settings of the output have it."""
         if self.target_error is None:
-            return {"samples": self.samples} | ({"iteration": self.iteration} if self.iteration else {})
+            return {"samples": self.samples} | ({"stream": self.stream} if self.stream else {})
         return {"target_error": self.target_error} | ({} if self.samples is None else {"samples": self.samples})
 
 
@@ -117,7 +117,7 @@ def prepare(request: Request) -> Job:
         samples=samples,
         target_error=target_error,
         seed=made.get("seed", 0) if request.seed is None else request.seed,
-        iteration=made.get("iteration", 0),
+        stream=made.get("stream", 0),
         noise=noise,
         cloud_file=made["cloud_file"],
     )
@@ -141,7 +141,7 @@ def _rendered(job: Job, operator: RadianceOperator, extinction: np.ndarray) -> R
     if job.target_error is None:
         assert job.samples is not None
         with progress.rendering(job.console, job.samples, f"samples{light}") as show:
-            return operator.render(extinction, job.samples, job.seed, job.iteration, progress=show)
+            return operator.render(extinction, job.samples, job.seed, job.stream, progress=show)
     most = {} if job.samples is None else {"most_paths": float(job.samples) * len(operator.pixels)}
     with progress.rendering(job.console, 100, f"%{light}") as show:
         return render_to_error(

@@ -22,6 +22,8 @@ from cloudtomo_cl.files.netcdf import AXES, load_dataset
 from cloudtomo_cl.files.truth import read_truth
 from cloudtomo_cl.files.vti import write_vti
 from cloudtomo_cl.files.whole import written_whole
+from cloudtomo_cl.inversion.records import MASK, STANDARD_ERROR, VARIABLES
+from cloudtomo_cl.inversion.relative_prior import mean_extinction
 from cloudtomo_cl.opencl.device import choose_device
 from cloudtomo_cl.report import plots
 from cloudtomo_cl.report.page import report_page
@@ -31,8 +33,8 @@ from cloudtomo_cl.scene.metrics import delta, epsilon
 from cloudtomo_cl.scene.scene import Sun
 from cloudtomo_cl.settings.stored import kept_scene
 
-# Extinction of voxels that hold cloud, km^-1.
-_CLOUD = 1.0
+# Extinction of voxels that hold cloud, over the cloud's mean extinction: less is haze, which recoveries leave.
+_CLOUD = 0.02
 
 
 @dataclass
@@ -120,10 +122,10 @@ def export_vti(run: RunFolder, path: Path, quiet: bool) -> None:
     quantities = {"extinction": (shown.extinction, "km-1")}
     if shown.truth is not None:
         quantities["true_extinction"] = (shown.truth, "km-1")
-    if "extinction_standard_error" in shown.result:
-        error = shown.result["extinction_standard_error"].transpose(*AXES).values
-        quantities["extinction_standard_error"] = (error, "km-1")
-    quantities["mask"] = (run.read_reconstruction()[2], "1")
+    if STANDARD_ERROR in shown.result:
+        error = shown.result[STANDARD_ERROR].transpose(*AXES).values
+        quantities[STANDARD_ERROR] = (error, VARIABLES[STANDARD_ERROR][0])
+    quantities[MASK] = (run.read_reconstruction()[2], VARIABLES[MASK][0])
     write_vti(path, shown.grid, quantities)
     if not quiet:
         print(f"{path}: open it in ParaView or another viewer of VTK's files")
@@ -204,8 +206,8 @@ def renew_modelled(run: RunFolder, device: str | None, quiet: bool) -> None:
         scene, _, _, made = kept_scene(run.reconstruction_file, ())
         if not quiet:
             print("rendering the images of the recovered cloud ...")
-        iteration = int(result.attrs.get("iterations", len(run.read_history()["stage"]))) + 1
-        write_modelled(run, scene, measurements, extinction, choose_device(device), made.get("seed", 0), iteration)
+        stream = int(result.attrs.get("iterations", len(run.read_history()["stage"]))) + 1
+        write_modelled(run, scene, measurements, extinction, choose_device(device), made.get("seed", 0), stream)
     except (DeviceError, SettingsError) as error:
         print(f"cloudtomo report: the images of the recovered cloud could not be rendered: {error}", file=sys.stderr)
 
@@ -228,12 +230,17 @@ def _numbers(shown: _Shown) -> dict[str, str]:
     device = shown.settings.get("device")
     if isinstance(device, dict) and "name" in device:
         numbers["device"] = str(device["name"])
-    if "extinction_standard_error" in shown.result and (extinction > _CLOUD).any():
-        error = np.median(shown.result["extinction_standard_error"].transpose(*AXES).values[extinction > _CLOUD])
+    if STANDARD_ERROR in shown.result and extinction.any():
+        error = _in_cloud(shown.result[STANDARD_ERROR].transpose(*AXES).values, extinction)
         numbers["typical standard error in cloud"] = f"{error:.3g} km⁻¹"
     elif "no_standard_error" in shown.result.attrs:
         numbers["standard error"] = f"not known: {shown.result.attrs['no_standard_error']}"
     return numbers
+
+
+def _in_cloud(error: np.ndarray, extinction: np.ndarray) -> float:
+    """The median of standard errors in voxels that hold cloud, however thin the cloud is; both of one shape."""
+    return float(np.median(error[extinction > _CLOUD * mean_extinction(extinction)]))
 
 
 def _if_there(path: Path, read: Any) -> Any:

@@ -14,24 +14,25 @@ figures/*.png, *.pdf
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cloudtomo_cl.commands.folder_lock import held
+from cloudtomo_cl.commands.history_file import HistoryFile
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.extinction import WRITTEN_AXES, read_extinction, write_extinction
 from cloudtomo_cl.files.measurements import write_measurements
 from cloudtomo_cl.files.netcdf import AXES, netcdf_errors
 from cloudtomo_cl.files.whole import reason, remove_abandoned, written_whole
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, read_checkpoint
+from cloudtomo_cl.inversion.records import MASK, STANDARD_ERROR, VARIABLES
 from cloudtomo_cl.report.plots import FIGURES
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
@@ -62,7 +63,7 @@ class RunFolder:
         self.modelled_file = self.path / "modelled.nc"
         self.report_file = self.path / "report.html"
         self.figures = self.path / "figures"
-        self._history: TextIO | None = None
+        self._history = HistoryFile(self.history_file)
         self._settings: Mapping[str, Any] = {}
         self._before: Sequence[IterationRecord] | None = None
         self.started = False
@@ -170,9 +171,7 @@ class RunFolder:
         with self._writing():
             if not self.started:
                 self._start([field.name for field in fields(record)])
-            assert self._history is not None
-            csv.writer(self._history).writerow(_line(record))
-            self._history.flush()
+            self._history.append(record)
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -193,18 +192,12 @@ class RunFolder:
         with written_whole(self.settings_file) as partial:
             partial.write_text(json.dumps(self._settings, indent=2) + "\n", encoding="utf-8")
         # A run may have been killed after its checkpoint: the history is that of the checkpoint.
-        with written_whole(self.history_file) as partial, open(partial, "w", newline="", encoding="utf-8") as table:
-            csv.writer(table).writerows([names, *map(_line, self._before or ())])
-        self._history = open(self.history_file, "a", newline="", encoding="utf-8")
+        self._history.begin(names, self._before or ())
         self.started = True
 
     def close(self) -> None:
         """Closes the history."""
-        if self._history is not None:
-            # On a full disk it fails to write what append has reported already.
-            with suppress(OSError):
-                self._history.close()
-            self._history = None
+        self._history.close()
 
     def write_reconstruction(
         self,
@@ -231,17 +224,13 @@ class RunFolder:
             else:
                 write_measurements(partial, measurements, attributes, settings, (grid, extinction, None))
             with netcdf_errors(), netCDF4.Dataset(partial, "a") as dataset:
-                variable = dataset.createVariable("mask", "i1", WRITTEN_AXES, zlib=True)
-                variable.units = "1"
-                variable.long_name = "voxels that the recovery could fill: 1, others 0"
-                variable[:] = mask.T
+                for name, kind, array in ((MASK, "i1", mask), (STANDARD_ERROR, "f4", standard_error)):
+                    if array is not None:
+                        variable = dataset.createVariable(name, kind, WRITTEN_AXES, zlib=True)
+                        variable.units, variable.long_name = VARIABLES[name]
+                        variable[:] = array.T
                 if standard_error is not None:
-                    name = "extinction_standard_error"
-                    variable = dataset.createVariable(name, "f4", WRITTEN_AXES, zlib=True)
-                    variable.units = "km-1"
-                    variable.long_name = "standard error of extinction, from noise and what the prior leaves open"
-                    variable[:] = standard_error.T
-                    dataset["extinction"].ancillary_variables = name
+                    dataset["extinction"].ancillary_variables = STANDARD_ERROR
 
     def read_reconstruction(self) -> tuple[Grid, np.ndarray, np.ndarray]:
         """Grid, extinction in km^-1, mask. DataError if the run has not come to its end."""
@@ -251,7 +240,7 @@ class RunFolder:
         grid, extinction = read_extinction(self.reconstruction_file)
         try:
             with netCDF4.Dataset(self.reconstruction_file) as dataset:
-                stored = dataset["mask"]
+                stored = dataset[MASK]
                 mask = np.asarray(stored[:]).astype(bool).transpose([stored.dimensions.index(name) for name in AXES])
         except (OSError, RuntimeError, IndexError, ValueError, TypeError) as error:
             raise DataError(f"{self.reconstruction_file}: has no mask that can be read ({error})") from None
@@ -261,13 +250,7 @@ class RunFolder:
 
     def read_history(self) -> dict[str, np.ndarray]:
         """A column for each field of an iteration; NaN where nothing is known."""
-        try:
-            with open(self.history_file, newline="", encoding="utf-8") as file:
-                names, *lines = csv.reader(file)
-            table = np.array([[float(value or "nan") for value in line] for line in lines])
-            return dict(zip(names, table.reshape(-1, len(names)).T))
-        except (OSError, ValueError, csv.Error) as error:
-            raise DataError(f"{self.history_file}: is no history of a run ({error})") from None
+        return self._history.read()
 
     def read_settings(self) -> dict[str, Any]:
         """What `begin` took."""
@@ -279,10 +262,3 @@ class RunFolder:
         if not isinstance(files, dict) or not all(isinstance(name, str) for name in files.values()):
             raise DataError(f"{self.settings_file}: are no settings of a run (they must be a table, files among it)")
         return settings
-
-
-def _line(record: IterationRecord) -> list[Any]:
-    """A record as the history has it: stages and iterations count from 1, as on the screen."""
-    values = {field.name: getattr(record, field.name) for field in fields(record)}
-    values.update({name: values[name] + 1 for name in ("stage", "iteration") if name in values})
-    return ["" if value is None else value for value in values.values()]

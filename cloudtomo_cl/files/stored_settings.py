@@ -42,6 +42,8 @@ def read_settings(
     if not isinstance(settings, dict):
         raise DataError(f"{path}: the attribute settings is not a JSON table")
     _check_settings(path, settings)
+    if "iteration" in settings:
+        settings = {"stream": settings.pop("iteration"), **settings}
     return settings
 
 
@@ -49,11 +51,12 @@ def read_settings(
 class _StoredNumbers:
     """What files keep of how they were made, beside the tables that have models of their own.
 
-    `iteration` is the random numbers' stream: files keep the name that they have always had.
+    `iteration` is what earlier versions called `stream`, the random numbers'.
     """
 
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     samples: Annotated[int, Field(ge=1, lt=2**31)] = 1
+    stream: Annotated[int, Field(ge=0, lt=2**32)] = 0
     iteration: Annotated[int, Field(ge=0, lt=2**32)] = 0
     target_error: Annotated[float, Field(gt=0, lt=10)] = 1.0
     photons: Annotated[float, Field(ge=1, le=1e15)] = 1.0

@@ -23,6 +23,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.whole import written_whole
+from cloudtomo_cl.inversion.mixture_file import read_mixtures
+from cloudtomo_cl.inversion.priors import PatchPrior
 from cloudtomo_cl.inversion.stages import Stage
 from cloudtomo_cl.parallel.ranks import ALONE, Ranks
 from cloudtomo_cl.scene.measurements import Measurements
@@ -170,7 +172,12 @@ def identity_of(
 ) -> dict[str, Any]:
     """All that decides the bits of a reconstruction, in the types of JSON: settings, and digests of arrays.
 
-    But for the number of iterations of the last stage: a run that has not settled may go on.
+    But for the number of iterations of the last stage: a run that has not settled may go on. A prior's file counts by
+    its mixtures, not by its name: it may move, but not hold others.
+
+    Raises
+    ------
+    DataError : the prior's file is none
     """
 
     def settings(value: Any, *without: str) -> Any:
@@ -180,7 +187,7 @@ def identity_of(
         "seed": seed,
         "scene": settings(scene),
         "stage": [*map(settings, stages[:-1]), settings(stages[-1], "iterations")],
-        "prior": _of_object(prior),
+        "prior": _of_prior(prior),
         "solver": _of_object(solver, "iterations"),
         "view": [settings(view) for view in measurements.views],
         "images": [_digest(image) for image in measurements.images],
@@ -191,6 +198,13 @@ def identity_of(
         "mask": _digest(mask),
         "truth": None if truth is None else _digest(np.asarray(truth, np.float64)),
     }
+
+
+def _of_prior(prior: Any) -> Any:
+    found = _of_object(prior)
+    if isinstance(prior, PatchPrior) and prior.file is not None:
+        return {**found, "file": _DIGEST + read_mixtures(prior.file).digest}
+    return found
 
 
 def _of_object(value: Any, *without: str) -> Any:

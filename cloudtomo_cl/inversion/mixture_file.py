@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 import threading
@@ -71,6 +72,15 @@ class MixtureFile:
         """By which each shape differs from the voxels', 1 and more."""
         factors: np.ndarray = np.exp(np.abs(np.log(np.divide(self.aspects, aspect_ratio(spacing)))))
         return factors
+
+    @property
+    def digest(self) -> str:
+        """Of all numbers: the same for files of any names that hold the same mixtures."""
+        found = hashlib.sha256(np.array(self.aspects, np.float64).tobytes())
+        for mixture in self.mixtures:
+            for array in (mixture.size, mixture.weights, mixture.means, mixture.covariances):
+                found.update(np.ascontiguousarray(array, np.float64).data)
+        return found.hexdigest()
 
     def write(self, path: str | os.PathLike[str], attributes: Mapping[str, Any] | None = None) -> None:
         """Writes a netCDF file, whole or not at all; numbers in single precision.

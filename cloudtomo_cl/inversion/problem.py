@@ -201,7 +201,8 @@ class Problem:
         modelled_noise : what noise of the modelled images adds to the data term
         """
         measured = self.active.unit
-        return NoiseUnits(measured, measured + 2 * modelled_noise / len(self.active), self.prior_weight)
+        both = measured + 2 * modelled_noise / len(self.active)
+        return NoiseUnits(self.prior_weight * measured, both, self.prior_weight)
 
     def _nothing(self) -> DeviceArray:
         return self.operator.device.zeros(self.grid.shape, np.float32)

@@ -19,7 +19,7 @@ from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser, unl
 from cloudtomo_cl.inversion.problem import Problem, checked_mask
 from cloudtomo_cl.inversion.records import History, IterationRecord, Reconstruction
 from cloudtomo_cl.inversion.run import (
-    LARGEST_VOXEL_DEPTH,
+    DIVERGED_DEPTH,
     KeepCheckpoints,
     KeepHistory,
     Run,
@@ -151,7 +151,8 @@ def reconstruct(
     run = Run(stages, question.mask) if resumed is None else Run.resumed(stages, question.mask, resumed)
     keeper = KeepCheckpoints(Checkpoints(checkpoint, checkpoint_interval, ranks), identity, device.name)
     limit, asked = TimeLimit(time_limit, ranks), StopRequested(stop, ranks)
-    watchers = (require_same, guard_divergence, KeepHistory(truth, callback), keeper)
+    guard = partial(guard_divergence, solver=solver)
+    watchers = (require_same, guard, KeepHistory(truth, callback), keeper)
     problem, state = _iterated(question, solver, run, resumed, watchers, keeper, (limit, asked), seed)
     absent = _no_standard_error(problem, solver, run, uncertainty, asked(run))
     error, absent = (None, absent) if absent else _standard_error(problem, solver, state, run, uncertainty, seed)
@@ -288,10 +289,10 @@ def _check_start(grid: Grid, stages: Sequence[Stage], solver: Any) -> None:
     edge = max(max(grid.with_shape(stage.grid).spacing) for stage in stages)
     for name in ("start", "floor"):
         value = getattr(solver, name, None) or 0.0
-        if not value * edge < LARGEST_VOXEL_DEPTH:
+        if not value * edge < DIVERGED_DEPTH:
             raise DataError(
                 f"solver.{name} is {value:g} km^-1, an optical depth of {value * edge:.3g} across a voxel of "
-                f"{edge:g} km: it must be below {LARGEST_VOXEL_DEPTH / edge:.3g} km^-1"
+                f"{edge:g} km: it must be below {DIVERGED_DEPTH / edge:.3g} km^-1"
             )
 
 

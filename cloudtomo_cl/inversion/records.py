@@ -65,6 +65,12 @@ COLUMNS = {
     "delta": ("1", "relative error of the sum of the extinction"),
     "expected_cost": ("1", "cost of the true cloud by noise of the measured images alone, on average"),
 }
+MASK, STANDARD_ERROR = "mask", "extinction_standard_error"
+# What a result has beside its extinction, in files and in datasets: unit, and what it is.
+VARIABLES = {
+    MASK: ("1", "voxels that the recovery could fill: 1, others 0"),
+    STANDARD_ERROR: ("km-1", "standard error of extinction, from noise and what the prior leaves open"),
+}
 # A cost of no more than so many times the expected one, within so many standard errors, counts as explained by noise.
 _FITTED, _SIGNIFICANCE = 3.0, 2.0
 # Lines of a history that are shown at its beginning and its end.
@@ -144,17 +150,17 @@ class Reconstruction:
     def to_dataset(self) -> Any:
         """An xarray Dataset: extinction(z, y, x), mask, standard error where known, and the history as history_*(step).
 
-        Units and coordinates are those of the files that the command line writes.
+        Names, units, descriptions and coordinates are those of the files that the command line writes.
         """
         dataset = extinction_dataset(self.grid, self.extinction)
-        described = {"long_name": "voxels that the recovery could fill", "units": "1"}
-        dataset["mask"] = (WRITTEN_AXES, self.mask.T.astype(np.int8), described)
+        arrays = {MASK: self.mask.astype(np.int8), STANDARD_ERROR: self.standard_error}
+        for name, array in arrays.items():
+            if array is not None:
+                dataset[name] = (WRITTEN_AXES, array.T, _described(VARIABLES[name]))
         if self.standard_error is not None:
-            described = {"long_name": "standard error of extinction", "units": "km-1"}
-            dataset["extinction_standard_error"] = (WRITTEN_AXES, self.standard_error.T, described)
+            dataset["extinction"].attrs["ancillary_variables"] = STANDARD_ERROR
         for name, column in self.history.columns.items():
-            units, long_name = COLUMNS[name]
-            dataset[f"history_{name}"] = ("step", column, {"long_name": long_name, "units": units})
+            dataset[f"history_{name}"] = ("step", column, _described(COLUMNS[name]))
         return dataset
 
     def _repr_html_(self) -> str:
@@ -174,3 +180,9 @@ class Reconstruction:
             text += f", {len(self.history)} iterations in {last.seconds:.0f} s"
             text += "" if last.epsilon is None else f", eps {last.epsilon:.3f}"
         return f"Reconstruction({text})"
+
+
+def _described(described: tuple[str, str]) -> dict[str, str]:
+    """The attributes of a variable: unit, and what it is."""
+    units, long_name = described
+    return {"long_name": long_name, "units": units}

@@ -20,8 +20,9 @@ from cloudtomo_cl.parallel.ranks import ALONE, Ranks
 from cloudtomo_cl.scene.grid import resample_in_mask
 from cloudtomo_cl.scene.metrics import delta, epsilon
 
-# Beyond any cloud: the optical depth across a voxel at which a descent has diverged.
-LARGEST_VOXEL_DEPTH = 1000.0
+# Beyond any cloud: the optical depth across a voxel's longest edge at which a solver has diverged. (What a medium takes
+# at most, transport/medium.py, is far more, across the shortest edge: there a unit is wrong.)
+DIVERGED_DEPTH = 1000.0
 
 
 @dataclass
@@ -90,24 +91,35 @@ def require_same(run: Run, problem: Problem, state: Any, progress: Progress) -> 
     problem.operator.ranks.require_same(np.asarray(state.extinction), "the extinction")
 
 
-def guard_divergence(run: Run, problem: Problem, state: Any, progress: Progress) -> None:
+def guard_divergence(run: Run, problem: Problem, state: Any, progress: Progress, solver: Any = None) -> None:
     """Stops a solver that runs away, before a render of it takes for ever.
+
+    solver : whose settings the error advises on
 
     Raises
     ------
     TransportError : a voxel of what would be rendered next is deeper than any cloud's, or the cost is not finite
     """
     depth = np.asarray(state.extinction) * max(problem.grid.spacing)
-    wrong = np.flatnonzero(~(depth < LARGEST_VOXEL_DEPTH))
+    wrong = np.flatnonzero(~(depth < DIVERGED_DEPTH))
     where = f"in stage {run.stage}, iteration {run.iteration}"
     if len(wrong):
         voxel = tuple(int(i) for i in np.argwhere(problem.mask)[wrong[0]])
         raise TransportError(
             f"the extinction diverged {where}: voxel {voxel} of the grid {problem.grid.shape} has the optical depth "
-            f"{depth[wrong[0]]:.3g}; choose a smaller step_size of the solver"
+            f"{depth[wrong[0]]:.3g}; {_advice(solver)}"
         )
     if not np.isfinite(progress.cost + progress.prior):
         raise TransportError(f"the cost is not finite {where}")
+
+
+def _advice(solver: Any) -> str:
+    """What to do about a solver that diverges, by the settings that it has."""
+    if hasattr(solver, "step_size"):
+        return "choose a smaller step_size of the solver"
+    if hasattr(solver, "damping"):
+        return "choose a larger damping of the solver or a stronger prior; are sun, views and images right?"
+    return "let the solver take shorter steps"
 
 
 @dataclass(frozen=True)

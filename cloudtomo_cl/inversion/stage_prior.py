@@ -16,9 +16,9 @@ class NoiseUnits:
 
     Attributes
     ----------
-    measured : n, of the measured images
+    measured : n, of the measured images, times the stage's weight
     both : N, of measured and modelled images
-    weight : the stage's factor of all that is multiplied with N
+    weight : factor of all that is multiplied with N: the stage's, times that of a step
     """
 
     measured: float

@@ -17,6 +17,21 @@ def first_overflow(sums: np.ndarray) -> tuple[int, ...] | None:
     return tuple(int(i) for i in np.argwhere(wrong)[0])
 
 
+def overflow(what: str, where: str = "") -> TransportError:
+    """The error of a sum that has overflowed, to be raised.
+
+    Parameters
+    ----------
+    what : it is, in the singular, for instance "the gradient"
+    where : at which of its indices, for instance ", at voxel (0, 1, 2)", where that is known
+    """
+    return TransportError(
+        f"{what} has left the range of its 64-bit sums, or something that is no number was added to it{where}: "
+        "the optics are extreme (extinction near 0 where light scatters, a very sharp phase function), "
+        "or the device is at fault; use fewer paths at a time, a larger solver.floor, or another device"
+    )
+
+
 def require_sums(sums: np.ndarray, what: str, axes: str) -> None:
     """Raises TransportError if a sum has overflowed.
 
@@ -28,11 +43,7 @@ def require_sums(sums: np.ndarray, what: str, axes: str) -> None:
     """
     place = first_overflow(sums)
     if place is not None:
-        raise TransportError(
-            f"{what} has left the range of its 64-bit sums, or something that is no number was added to it, at {axes} "
-            f"{place}: the optics are extreme (extinction near 0 where light scatters, a very sharp phase function), "
-            "or the device is at fault; use fewer paths at a time, a larger solver.floor, or another device"
-        )
+        raise overflow(what, f", at {axes} {place}")
 
 
 def summed(sums: np.ndarray, ranks: Ranks, what: str, axes: str) -> np.ndarray:

@@ -79,7 +79,8 @@ def _one_after_the_other(rows: list[np.ndarray]) -> np.ndarray:
 def shared_by_threads(size: int, work: Callable[[Ranks], _Result]) -> _Result:
     """Calls `work` in so many threads, with the rank of each; returns what it returns in the first.
 
-    Raises what the first thread has raised, or else another one.
+    Raises what the first thread has raised, or else another one. Ctrl-C, which Python raises in the thread that waits
+    here, ends them at their next exchange, and is raised when they have ended.
     """
     from threadpoolctl import threadpool_limits
 
@@ -98,10 +99,17 @@ def shared_by_threads(size: int, work: Callable[[Ranks], _Result]) -> _Result:
     threads = [threading.Thread(target=run, args=(rank,), name=f"rank {rank}") for rank in range(size)]
     # BLAS's number of threads is the whole process's: who sets it back in the meantime would change others' bits.
     with threadpool_limits(limits=1, user_api="blas"):
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        try:
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
+        except BaseException:
+            meeting.barrier.abort()
+            for thread in threads:
+                if thread.ident is not None:  # it was begun
+                    thread.join()
+            raise
     raised = [error for error in failures if error is not None]
     for error in raised:
         # Others have found the barrier broken because of one.

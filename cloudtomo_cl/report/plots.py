@@ -54,14 +54,21 @@ def plot_slice(axes: Axes, grid: Grid, extinction: np.ndarray, normal: int, inde
 
     Returns the image, for a colour bar.
     """
+    return _plot_plane(axes, grid, np.take(extinction, index, axis=normal), normal, largest)
+
+
+def _plot_plane(
+    axes: Axes, grid: Grid, values: np.ndarray, normal: int, largest: float | None, colours: str = "viridis"
+) -> Any:
+    """Values of voxels in a plane, shape of the grid without the axis `normal`, from 0 up; returns the image."""
     right, up = (axis for axis in range(3) if axis != normal)
     image = axes.imshow(
-        np.take(extinction, index, axis=normal).T,
+        values.T,
         origin="lower",
         extent=_extent(grid, right, up),
         vmin=0.0,
         vmax=largest,
-        cmap="viridis",
+        cmap=colours,
         interpolation="nearest",
     )
     axes.set_xlabel(f"{_AXES[right]} (km)")
@@ -77,35 +84,12 @@ def _extent(grid: Grid, right: int, up: int) -> tuple[float, float, float, float
 def plot_optical_depth(axes: Axes, grid: Grid, extinction: np.ndarray, largest: float | None = None) -> Any:
     """Vertical optical depth of the columns, seen from above with north up. Returns the image."""
     depth = extinction.sum(axis=2, dtype=float) * grid.spacing[2]
-    image = axes.imshow(
-        depth.T,
-        origin="lower",
-        extent=_extent(grid, 0, 1),
-        vmin=0.0,
-        vmax=largest,
-        cmap="magma",
-        interpolation="nearest",
-    )
-    axes.set_xlabel("x (km)")
-    axes.set_ylabel("y (km)")
-    return image
+    return _plot_plane(axes, grid, depth, 2, largest, "magma")
 
 
 def plot_maximum(axes: Axes, grid: Grid, extinction: np.ndarray, normal: int, largest: float | None = None) -> Any:
     """The largest extinction along the axis `normal` (0, 1, 2): a maximum-intensity map. Returns the image."""
-    right, up = (axis for axis in range(3) if axis != normal)
-    image = axes.imshow(
-        extinction.max(axis=normal).T,
-        origin="lower",
-        extent=_extent(grid, right, up),
-        vmin=0.0,
-        vmax=largest,
-        cmap="viridis",
-        interpolation="nearest",
-    )
-    axes.set_xlabel(f"{_AXES[right]} (km)")
-    axes.set_ylabel(f"{_AXES[up]} (km)")
-    return image
+    return _plot_plane(axes, grid, extinction.max(axis=normal), normal, largest)
 
 
 def plot_profile(axes: Axes, grid: Grid, extinction: np.ndarray, effective_radius: np.ndarray | None = None) -> None:

@@ -19,11 +19,19 @@ from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, Pixels
 AlongTrackAngle = Annotated[float, Field(gt=-90, lt=90)]
 AlongTrackAngles = Annotated[tuple[AlongTrackAngle, ...], Field(min_length=1, max_length=10_000)]
 
-# View angles at the ground, degrees from nadir, of MISR's nine cameras Df to Da.
-# Source: Diner et al. 1998, IEEE Trans. Geosci. Remote Sens. 36, 1072-1087.
 # Far more than any campaign flies; every camera is an object with its own image.
 _MOST_CAMERAS = 10_000
+# View angles at the ground, degrees from nadir, of MISR's nine cameras Df to Da.
+# Source: Diner et al. 1998, IEEE Trans. Geosci. Remote Sens. 36, 1072-1087.
 MISR_ANGLES = (70.5, 60.0, 45.6, 26.1, 0.0, -26.1, -45.6, -60.0, -70.5)
+
+
+def _check_height(height: float, target: Triple) -> None:
+    """ValueError if sensors at a height, km, do not look down on a target, or stand below the ground."""
+    if not height > target[2]:
+        raise ValueError(f"height is {height} km: it must be above the target's {target[2]} km")
+    if height < 0:
+        raise ValueError("height lies below the ground, z = 0: raise it")
 
 
 @answering
@@ -55,10 +63,7 @@ class RingOfViews:
 
     @model_validator(mode="after")
     def _check(self) -> RingOfViews:
-        if not self.height > self.target[2]:
-            raise ValueError(f"height is {self.height} km: it must be above the target's {self.target[2]} km")
-        if self.height < 0:
-            raise ValueError("height lies below the ground, z = 0: raise it")
+        _check_height(self.height, self.target)
         return self
 
     def views(self) -> tuple[PerspectiveView, ...]:
@@ -143,10 +148,7 @@ class StringOfScans:
 
     @model_validator(mode="after")
     def _check(self) -> StringOfScans:
-        if not self.height > self.target[2]:
-            raise ValueError(f"height is {self.height} km: it must be above the target's {self.target[2]} km")
-        if self.height < 0:
-            raise ValueError("height lies below the ground, z = 0: raise it")
+        _check_height(self.height, self.target)
         return self
 
     def views(self) -> tuple[PushBroomView, ...]:

@@ -30,7 +30,7 @@ from cloudtomo_cl.errors import DataError, SettingsError
 from cloudtomo_cl.files.phase import read_phase_function
 from cloudtomo_cl.files.text import read_text
 from cloudtomo_cl.inversion.priors import PatchPrior, Prior
-from cloudtomo_cl.inversion.solvers.choice import SolverTable
+from cloudtomo_cl.inversion.solvers.choice import SolverTable, of_default_type
 from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.inversion.stages import Stage
 from cloudtomo_cl.inversion.uncertainty import DRAWS
@@ -183,14 +183,7 @@ class PatchPriorTable(PatchPrior):
     file: InputFile | None = None
 
 
-def _with_type(table: Any) -> Any:
-    """A table without a type is of the default prior."""
-    if isinstance(table, dict) and "type" not in table:
-        return {"type": "patches", **table}
-    return table
-
-
-PriorTable = Annotated[Annotated[PatchPriorTable | Prior, Field(discriminator="type")], BeforeValidator(_with_type)]
+PriorTable = Annotated[Annotated[PatchPriorTable | Prior, Field(discriminator="type")], of_default_type("patches")]
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))

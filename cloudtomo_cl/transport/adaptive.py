@@ -68,7 +68,7 @@ def render_to_error(
 
     Returns
     -------
-    rendering : its `samples` is an array, paths of each pixel; `audit.launched` counts all photons
+    rendering : its `samples` is an array, paths of each pixel; `audit.launched` counts all paths
 
     Raises
     ------
@@ -86,8 +86,8 @@ def render_to_error(
     budget, factor = most_paths - sum(audit.launched for audit in audits), 1.0
     while True:
         planned = [2 * round(_LEAST_SAMPLES * _LEVEL**level * factor / 2) for level, _ in groups]
-        photons = sum(count * len(chosen) for count, (_, chosen) in zip(planned, groups))
-        planned = [max(2, 2 * int(count * min(1.0, budget / photons) / 2)) for count in planned]
+        paths = sum(count * len(chosen) for count, (_, chosen) in zip(planned, groups))
+        planned = [max(2, 2 * int(count * min(1.0, budget / paths) / 2)) for count in planned]
         total, finished = sum(count * len(chosen) for count, (_, chosen) in zip(planned, groups)), 0
         for index, (part, count) in enumerate(zip(parts, planned)):
             before = done[index]

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from cloudtomo_cl.errors import DataError, TransportError
+from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device
-from cloudtomo_cl.opencl.fixed_point import summed
+from cloudtomo_cl.opencl.fixed_point import overflow, summed
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
 from cloudtomo_cl.scene.scene import Cloud
@@ -139,10 +139,7 @@ class RadianceTable:
         )  # fmt: skip
         self._diffuse = sums.view(np.float32)
         if overflown.get()[0]:
-            raise TransportError(
-                "the radiance table has left the range of its 64-bit sums, or something that is no number was added: "
-                "the optics are extreme, or the device is at fault; use fewer paths, or another device"
-            )
+            raise overflow("the radiance table")
         self._sunlight = device.empty(self.cells, np.float32)
         device.launch(
             self._direct_sunlight, self.cells, **medium.arguments, voxel=self._voxel, cells=self._places,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloudtomo_cl.errors import TransportError
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import device_errors
+from cloudtomo_cl.opencl.fixed_point import overflow
 from cloudtomo_cl.opencl.layout import DERIVATIVE_UNIT
 from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.jacobian import SLOTS_AT_ONCE, Jacobian
@@ -80,10 +80,7 @@ class JacobianAverage:
             **self._sizes, keep=1 - rate, unit=unit, far=self._far, overflown=overflown,
         )  # fmt: skip
         if overflown.get()[0]:
-            raise TransportError(
-                "the derivatives have left the range of their 64-bit sums, or something that is no number was added: "
-                "the optics are extreme, or the device is at fault; use fewer paths at a time, or another device"
-            )
+            raise overflow("the Jacobian")
 
     def _add_paths(
         self, rendering: Rendering, first: int, count: int, near_sums: DeviceArray, far_sums: DeviceArray

@@ -16,6 +16,7 @@ from scenes import (
 )
 from scipy import stats
 
+from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import Air, Scene, Sun, Surface
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView
@@ -151,3 +152,18 @@ def test_gradients_are_those_of_finite_differences(device, scene, estimator):
         error = stats.sem(found - differences)
         print(f"{name}: {found.mean():.5f}, differences {differences.mean():.5f}, standard error {error:.5f}")
         assert stats.ttest_1samp(found - differences, 0.0).pvalue > 1e-4, name
+
+
+def test_gradients_are_in_proportion_to_adjoints_however_small(device):
+    grid = Grid((4, 4, 4), (0.2, 0.2, 0.2))
+    views = [OrthographicView(zenith=0.0, width=0.9, pixels=(8, 8))]
+    operator = RadianceOperator(Scene(grid=grid, sun=Sun(zenith=20.0)), views, device)
+    rendering = operator.render(np.full(grid.shape, 5.0), 8, store_paths=True)
+    adjoint = np.ones((len(operator.pixels), 2))
+    one = operator.gradient(rendering, adjoint).get()
+    for scale in (1e-30, 1e25):
+        np.testing.assert_allclose(operator.gradient(rendering, scale * adjoint).get(), scale * one, rtol=1e-5)
+    assert not operator.gradient(rendering, 5e-324 * adjoint).get().any()
+    for wrong in (1e30, 1e300, np.inf, np.nan):
+        with pytest.raises(DataError, match="adjoint"):
+            operator.gradient(rendering, wrong * adjoint)

@@ -7,6 +7,8 @@ import pyopencl.array as cl_array
 import pytest
 
 import cloudtomo_cl as ct
+from cloudtomo_cl.errors import TransportError
+from cloudtomo_cl.opencl.fixed_point import overflow
 from cloudtomo_cl.opencl.layout import TILE_WIDTH
 from cloudtomo_cl.scene.scene import Boundary
 from cloudtomo_cl.transport.blocks import pixel_blocks, voxel_blocks
@@ -152,3 +154,21 @@ def test_blocks_of_voxels_grow_with_the_number_of_pixels(monkeypatch):
     mask = np.ones((16, 16, 16), bool)
     monkeypatch.setattr("cloudtomo_cl.transport.blocks.MOST_PAIRS", 64 * 100)
     assert len(voxel_blocks(mask, 10)) == 512 and len(voxel_blocks(mask, 100)) == 64
+
+
+@pytest.mark.parametrize(("place", "what"), [(0, "the radiance table"), (1, "the Jacobian")])
+def test_sums_that_overflow_are_told_in_the_same_words(extinction, device, monkeypatch, place, what):
+    """As if the kernels had found one: their flags are the arrays of one number; the table's comes first."""
+    zeros, flags = type(device).zeros, []
+
+    def one_raised(own, shape, kind):
+        made = zeros(own, shape, kind)
+        if shape == 1 and kind == np.uint32:
+            flags.append(made)
+            made.fill(len(flags) == place + 1)
+        return made
+
+    monkeypatch.setattr(type(device), "zeros", one_raised)
+    with pytest.raises(TransportError) as caught:
+        prepared(SCENE, extinction, device, samples=2)
+    assert str(caught.value) == str(overflow(what)) and what in str(overflow(what))

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import cloudtomo_cl as ct
+from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.reference import random as reference_random
 
 
@@ -70,3 +72,13 @@ def test_uniforms_of_consecutive_samples_are_uniform(probe):
     found = probe("probe_uniforms", count, chosen, results=[np.zeros((count, 4), np.float32)])
     for numbers in found.T:
         assert stats.kstest(numbers, "uniform").pvalue > 1e-3
+
+
+@pytest.mark.parametrize("seed", [2**32, -1, 1.5, "2"])
+def test_a_seed_that_kernels_do_not_take_is_named(device, seed):
+    scene, extinction = ct.Scene(grid=ct.Grid((2, 2, 2), (0.2, 0.2, 0.2)), sun=ct.Sun(zenith=0.0)), np.ones((2, 2, 2))
+    operator = ct.RadianceOperator(scene, [ct.OrthographicView(zenith=0.0, width=0.5, pixels=(2, 2))], device)
+    flux = ct.FluxOperator(scene, device)
+    for compute in (lambda: operator.render(extinction, 2, seed), lambda: flux.compute(extinction, 10, seed)):
+        with pytest.raises(DataError, match=r"seed is .*: it must be a whole number from 0 to 4294967295"):
+            compute()

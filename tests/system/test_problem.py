@@ -162,6 +162,18 @@ def test_an_own_prior_pulls(scene, measurements, device, truth):
     assert pulled < 0.1 * free
 
 
+def test_the_weight_of_the_prior_is_that_of_all_its_terms(scene, measurements, device, truth):
+    """Smoothness, monotonicity and sparsity, whose unit is another."""
+    prior = ct.Prior(monotonicity=1.0)
+    problem = ct.Problem.of(scene, measurements, mask=truth > 0, prior=prior, device=device)
+    x = truth[problem.mask].astype(float)
+    (value, slope), (third, of_third) = (
+        problem.prior.value_and_gradient(x, replace(problem, prior_weight=weight).units()) for weight in (1.0, 1 / 3)
+    )
+    assert third == pytest.approx(value / 3, rel=1e-6)
+    np.testing.assert_allclose(of_third, slope / 3, rtol=1e-4, atol=1e-5 * np.abs(slope).max())
+
+
 def test_an_own_prior_of_another_shape_is_refused(scene, measurements, device, truth):
     class Wrong(Ridge):
         def value_and_gradient(self, extinction, voxels):

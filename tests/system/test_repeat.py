@@ -1,5 +1,7 @@
 """A run can be repeated from its own output file alone."""
 
+import json
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -68,6 +70,21 @@ def test_images_are_rendered_again_bit_by_bit(outputs, tmp_path):
     with xr.open_dataset(outputs / "images.nc") as first, xr.open_dataset(again) as second:
         assert np.array_equal(first.radiance, second.radiance, equal_nan=True)
         assert first.attrs["settings"].split("cloud_file")[0] == second.attrs["settings"].split("cloud_file")[0]
+
+
+def test_images_of_earlier_versions_are_rendered_again_with_their_random_numbers(outputs, tmp_path):
+    """They kept the stream as `iteration`; both are others than those of the stream 0."""
+    radiances = []
+    for index, kept in enumerate(({}, {"stream": 5}, {"iteration": 5})):
+        with xr.load_dataset(outputs / "images.nc") as images:
+            images.attrs["settings"] = json.dumps({**json.loads(images.attrs["settings"]), **kept})
+        file, again = tmp_path / f"{index}.nc", tmp_path / f"{index}-again.nc"
+        images.to_netcdf(file)
+        assert main(["render", str(file), "--quiet", "--output", str(again)]) == 0
+        with xr.open_dataset(again) as rendered:
+            radiances.append(rendered.radiance.values)
+            assert json.loads(rendered.attrs["settings"]).get("stream", 0) == (5 if kept else 0)
+    assert np.array_equal(radiances[1], radiances[2]) and not np.array_equal(radiances[0], radiances[1])
 
 
 def test_a_scenes_noise_is_in_its_images(outputs):

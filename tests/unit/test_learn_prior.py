@@ -251,3 +251,35 @@ def test_the_script_learns_from_generated_clouds_for_each_shape(tmp_path, monkey
     monkeypatch.setattr(sys, "argv", [str(SCRIPT), *words])
     learn_prior.main()
     assert read_mixtures(tmp_path / "own.nc").aspects == (2.0, 1.0)
+
+
+@pytest.fixture
+def with_own_prior(tmp_path, monkeypatch):
+    """The working folder, with run/ of a recovery by run.toml, whose prior is prior.nc."""
+    monkeypatch.chdir(tmp_path)
+    assert learn(tmp_path, cloud(tmp_path, "cloud.nc"), "--seed", 1) == 0
+    run_file(tmp_path, '[prior]\nfile = "prior.nc"\n')
+    assert main("reconstruct run.toml --output run --no-report --quiet".split()) == 0
+    return tmp_path
+
+
+def test_a_run_does_not_go_on_with_other_mixtures_under_the_same_name(with_own_prior, capsys):
+    assert learn(with_own_prior, "cloud.nc", "--seed", 2, "--overwrite") == 0
+    assert main("reconstruct run.toml --output run --no-report --resume".split()) == 2
+    assert "prior.file holds other numbers than the checkpoint's" in capsys.readouterr().err
+
+
+def test_a_run_with_a_prior_of_its_own_goes_on_from_another_folder(with_own_prior, monkeypatch):
+    (with_own_prior / "elsewhere").mkdir()
+    monkeypatch.chdir(with_own_prior / "elsewhere")
+    assert main("reconstruct ../run.toml --output ../run --no-report --quiet --resume".split()) == 0
+
+
+def test_a_run_with_a_prior_of_its_own_is_repeated_by_its_result(with_own_prior, monkeypatch):
+    """Also after both moved together, from whatever folder."""
+    (with_own_prior / "moved").mkdir()
+    for name in ("run", "prior.nc"):
+        (with_own_prior / name).rename(with_own_prior / "moved" / name)
+    assert main("reconstruct moved/run/reconstruction.nc --output again --no-report --quiet".split()) == 0
+    first, second = (numbers(f"{folder}/reconstruction.nc") for folder in ("moved/run", "again"))
+    assert first["extinction"] == second["extinction"]

@@ -231,6 +231,7 @@ def test_masked_pixels_of_arrays_are_bad():
         ({"samples": None}, "samples = None"),
         ({"samples": 0}, "samples = 0"),
         ({"samples": "64"}, "samples = '64'"),
+        ({"stream": 2**40}, "stream = 1099511627776"),
         ({"iteration": 2**40}, "iteration = 1099511627776"),
         ({"target_error": -1.0}, "target_error = -1.0"),
         ({"photons": "many"}, "photons = 'many'"),

@@ -8,10 +8,12 @@ from base64 import b64decode
 
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib.image import imread
 
 import cloudtomo_cl as ct
 from cloudtomo_cl.commands import notebook
+from cloudtomo_cl.commands.run_folder import RunFolder
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.records import History, Reconstruction
 from cloudtomo_cl.scene.cards import MOST_PICTURES, card, png
@@ -101,6 +103,15 @@ def test_a_result_becomes_a_dataset(result):
     assert np.array_equal(ct.read_extinction(dataset)[1], result.extinction)
     assert all("units" in variable.attrs for variable in dataset.data_vars.values())
     assert dataset.history_seconds.units == "s" and dataset.history_cost.units == "1"
+
+
+def test_a_results_dataset_describes_its_variables_as_its_file_does(result, tmp_path):
+    dataset = result.to_dataset()
+    folder = RunFolder(tmp_path)
+    folder.write_reconstruction(GRID, result.extinction, result.mask, {}, standard_error=result.standard_error)
+    with xr.open_dataset(folder.reconstruction_file) as file:
+        for name in ("extinction", "mask", "extinction_standard_error"):
+            assert dataset[name].attrs == file[name].attrs and dataset[name].dims == file[name].dims, name
 
 
 def test_a_history_is_a_table_and_gives_its_columns(result):

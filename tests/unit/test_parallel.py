@@ -1,5 +1,7 @@
 """What ranks tell each other, by threads of this process; system/test_ranks.py has them compute, also under MPI."""
 
+import os
+import signal
 import subprocess
 import sys
 import threading
@@ -137,6 +139,37 @@ def test_a_rank_that_fails_alone_lets_nobody_wait_for_ever():
     with pytest.raises(DataError, match="alone"):
         shared_by_threads(3, work)
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("rank ")]
+
+
+INTERRUPTED = """
+import signal, threading, time
+from cloudtomo_cl.parallel.threads import shared_by_threads
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # also where whoever started the tests ignores it
+
+def work(ranks):
+    if ranks.rank == 0:
+        print("begun", flush=True)
+    for _ in range(1000):
+        time.sleep(0.05)
+        ranks.all(1)
+
+try:
+    shared_by_threads(2, work)
+except KeyboardInterrupt:
+    print("at work:", sum(thread.name.startswith("rank ") for thread in threading.enumerate()))
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_control_c_ends_ranks_before_it_is_raised():
+    with subprocess.Popen([sys.executable, "-c", INTERRUPTED], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout.readline() == "begun\n"
+            process.send_signal(signal.SIGINT)
+            assert process.communicate(timeout=20)[0] == "at work: 0\n"
+        finally:
+            process.kill()
 
 
 def test_other_bits_on_one_rank_are_told():

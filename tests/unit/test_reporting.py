@@ -86,3 +86,28 @@ def test_a_report_compares_with_no_other_truth(folder, capsys):
     write_extinction("cloud.nc", grid, 2 * extinction)
     assert main(["report", "run"]) == 0 and "is not the truth that the run knew" in capsys.readouterr().err
     assert not Path("run/figures/scatter.png").exists()
+
+
+def test_the_error_in_cloud_is_in_proportion_to_the_cloud(random):
+    """No cloud's brightness is built in: one a hundred times as thin has its own number."""
+    extinction = random.uniform(0, 60, (6, 6, 6)) * (random.random((6, 6, 6)) > 0.5)
+    error = random.uniform(1, 5, extinction.shape)
+    assert reporting._in_cloud(error / 100, extinction / 100) == pytest.approx(
+        reporting._in_cloud(error, extinction) / 100
+    )
+
+
+def test_haze_is_no_cloud_that_an_error_is_told_of():
+    extinction, error = np.full((4, 4, 4), 0.1), np.full((4, 4, 4), 9.0)
+    extinction[1:3, 1:3, 1:3], error[1:3, 1:3, 1:3] = 50.0, 2.0
+    assert reporting._in_cloud(error, extinction) == 2.0
+
+
+def test_thin_clouds_have_a_typical_error():
+    """Of 0.3 km^-1 at most."""
+    grid = Grid((2, 2, 2), (0.1, 0.1, 0.1))
+    extinction = np.array([0.0, 0.3] * 4).reshape(2, 2, 2)
+    result = xr.Dataset({"extinction_standard_error": (("x", "y", "z"), np.full((2, 2, 2), 0.05))})
+    history = {"cost": np.ones(1), "paths": np.ones(1), "seconds": np.ones(1)}
+    shown = reporting._Shown(grid, extinction, result, {}, history)
+    assert reporting._numbers(shown)["typical standard error in cloud"] == "0.05 km⁻¹"

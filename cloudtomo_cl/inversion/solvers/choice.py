@@ -10,13 +10,15 @@ from cloudtomo_cl.inversion.solvers.descent import SGD, Adam
 from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 
 
-def _with_type(table: Any) -> Any:
-    """A table without a type is of the default solver."""
-    if isinstance(table, dict) and "type" not in table:
-        return {"type": "gauss-newton", **table}
-    return table
+def of_default_type(name: str) -> BeforeValidator:
+    """Takes a table without a type for one of this type."""
+
+    def with_type(table: Any) -> Any:
+        return {"type": name, **table} if isinstance(table, dict) and "type" not in table else table
+
+    return BeforeValidator(with_type)
 
 
 AnySolver = GaussNewton | Adam | SGD
 # As a table of the settings.
-SolverTable = Annotated[Annotated[AnySolver, Field(discriminator="type")], BeforeValidator(_with_type)]
+SolverTable = Annotated[Annotated[AnySolver, Field(discriminator="type")], of_default_type("gauss-newton")]
