@@ -148,11 +148,11 @@ from cloudtomo_cl.parallel.threads import shared_by_threads
 signal.signal(signal.SIGINT, signal.default_int_handler)  # also where whoever started the tests ignores it
 
 def work(ranks):
-    if ranks.rank == 0:
-        print("begun", flush=True)
-    for _ in range(1000):
+    for exchange in range(1000):
         time.sleep(0.05)
         ranks.all(1)
+        if ranks.rank == 0 and exchange == 5:  # all ranks have begun, and whoever began them waits
+            print("begun", flush=True)
 
 try:
     shared_by_threads(2, work)
