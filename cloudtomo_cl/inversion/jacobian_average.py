@@ -28,7 +28,7 @@ class JacobianAverage:
 
     def add(self, problem: Problem, extinction: np.ndarray, seed: int, stream: int) -> Rendering:
         """Renders an extinction, km^-1, shape (voxels,), and averages its derivatives in; returns the rendering."""
-        samples = problem.samples or problem.default_samples
+        samples = problem.default_samples if problem.samples is None else problem.samples
         rendering = problem.operator.render(problem.on_grid(extinction), samples, seed, stream, store_paths=True)
         self._sums.add(rendering, self._rate(self._iterations))
         self._iterations += 1

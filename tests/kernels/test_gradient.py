@@ -16,10 +16,11 @@ from scenes import (
 )
 from scipy import stats
 
+from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import Air, Scene, Sun, Surface
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView
-from cloudtomo_cl.transport.radiance import RadianceOperator
+from cloudtomo_cl.transport.radiance import RadianceOperator, pooled
 
 SEED, ITERATION, SAMPLES = 8, 2, 8
 
@@ -151,3 +152,14 @@ def test_gradients_are_those_of_finite_differences(device, scene, estimator):
         error = stats.sem(found - differences)
         print(f"{name}: {found.mean():.5f}, differences {differences.mean():.5f}, standard error {error:.5f}")
         assert stats.ttest_1samp(found - differences, 0.0).pvalue > 1e-4, name
+
+
+def test_two_renderings_as_one_have_no_gradient(device):
+    """Their paths would be those of the first, half of them all."""
+    scene = SCENES["forward peak"]
+    operator = RadianceOperator(scene, [ABOVE], device)
+    first, second = (
+        operator.render(extinction_of(scene), 8, store_paths=True, first_sample=sample) for sample in (0, 8)
+    )
+    with pytest.raises(DataError, match="kept no paths"):
+        operator.gradient(pooled(first, second), np.ones((9, 2)))
