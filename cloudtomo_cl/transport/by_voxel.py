@@ -98,29 +98,36 @@ class _Exchanged:
         self._ranks, self._device = structure.shares.ranks, structure.device
         self.shares = structure.voxel_shares
         assert self.shares.owner is not None
-        own_blocks = self.shares.taken(structure.voxel_blocks.of)
-        block = np.zeros(structure.voxels, np.int32)
-        self.blocks, block[self.shares.own] = np.unique(own_blocks, return_inverse=True)
-        constant = self._device.constant
-        self.block = constant(block)
-        self.pixel_block = constant(structure.pixel_blocks.of.astype(np.uint32))
-        # In the order of pixels and slots, for every rank: so all have it.
-        owner = self.shares.owner[columns]
-        self._order = np.argsort(owner, kind="stable").astype(np.uint32)
-        given = np.bincount(owner, minlength=self._ranks.size)
+        given = self._ranks.together(lambda: self._sorted(structure, columns))
         taken = np.concatenate(self._ranks.exchange(list(given[:, None])))
         self._given, self._taken = _cuts(given), _cuts(taken)
         rows = np.repeat(structure.shares.own.astype(np.int32), np.diff(row_start))
         column, row = self._exchanged(columns), self._exchanged(rows)
-        del owner, rows
-        self._place = np.lexsort((row, column)).astype(np.uint32)
-        counts = np.bincount(column, minlength=structure.voxels)
-        del column
-        self.start = constant(np.concatenate([[0], np.cumsum(counts)]).astype(np.uint32))
-        self.rows = constant(row[self._place].astype(np.uint32))
+        del rows
+        self._ranks.together(lambda: self._place_columns(column, row, structure.voxels))
         self._pixel_blocks = len(structure.pixel_blocks)
         self._rows_of = self._ranks.all(structure.row_blocks)
         self._blocks_of = self._ranks.all(self.blocks)
+
+    def _sorted(self, structure: NearField, columns: np.ndarray) -> np.ndarray:
+        """Sorts this rank's entries by who has their voxels; returns how many go to each rank."""
+        assert self.shares.owner is not None
+        own_blocks = self.shares.taken(structure.voxel_blocks.of)
+        block = np.zeros(structure.voxels, np.int32)
+        self.blocks, block[self.shares.own] = np.unique(own_blocks, return_inverse=True)
+        self.block = self._device.constant(block)
+        self.pixel_block = self._device.constant(structure.pixel_blocks.of.astype(np.uint32))
+        # In the order of pixels and slots, for every rank: so all have it.
+        owner = self.shares.owner[columns]
+        self._order = np.argsort(owner, kind="stable").astype(np.uint32)
+        return np.bincount(owner, minlength=self._ranks.size)
+
+    def _place_columns(self, column: np.ndarray, row: np.ndarray, voxels: int) -> None:
+        """Puts the entries of this rank's voxels in the order of their columns."""
+        self._place = np.lexsort((row, column)).astype(np.uint32)
+        counts = np.bincount(column, minlength=voxels)
+        self.start = self._device.constant(np.concatenate([[0], np.cumsum(counts)]).astype(np.uint32))
+        self.rows = self._device.constant(row[self._place].astype(np.uint32))
 
     def _exchanged(self, values: np.ndarray) -> np.ndarray:
         """What belongs to the entries of this rank's columns, from what belongs to those of its rows."""
@@ -136,13 +143,13 @@ class _Exchanged:
         return self._device.zeros(max(len(self._place), 1), np.float32), self._device.zeros(shape, np.float32)
 
     def refresh(self, near: DeviceArray, far: DeviceArray, arrays: tuple[DeviceArray, DeviceArray]) -> None:
-        values = self._exchanged(self._device.copied(near)[: len(self._order)])
+        values = self._exchanged(self._ranks.together(lambda: self._device.copied(near))[: len(self._order)])
         for first, last in pairwise(_cuts(np.array([len(values)]))[0]):
             if last > first:
                 self._device.write(arrays[0].data, values[self._place[first:last]], int(first) * values.itemsize)
         del values
-        own = self._device.copied(far)
-        whole = np.empty((self._pixel_blocks, len(self.blocks)), np.float32)
+        shape = (self._pixel_blocks, len(self.blocks))
+        own, whole = self._ranks.together(lambda: (self._device.copied(far), np.empty(shape, np.float32)))
         at_once = max(max(map(len, self._rows_of)) // _PARTS, 1)
         for first in range(0, max(map(len, self._rows_of)), at_once):
             rows_of = [rows[first : first + at_once] for rows in self._rows_of]

@@ -53,6 +53,12 @@ class NearField:
         assert operator.mask is not None
         self.device, self.column = operator.device, column
         self.scene_struct = operator.scene_struct
+        row_start, columns = self.device.ranks.together(lambda: self._find(operator))
+        self.by_voxel: ByVoxel = by_voxel(self, row_start, columns)
+
+    def _find(self, operator: RadianceOperator) -> tuple[np.ndarray, np.ndarray]:
+        """Finds this rank's entries: where its rows begin, and their columns."""
+        assert operator.mask is not None
         self.pixels, self.voxels = len(operator.pixels), int(operator.mask.sum())
         self.shares = operator.shares
         self.voxel_shares = voxel_shares(operator.mask, self.device.ranks)
@@ -84,7 +90,7 @@ class NearField:
         self.row_start = constant(row_start.astype(np.uint32))
         self.columns = self.device.empty(max(self.entries, 1), np.int32)
         self._launch("near_fill", row_start=self.row_start, columns=self.columns)
-        self.by_voxel: ByVoxel = by_voxel(self, row_start, self.device.copied(self.columns)[: self.entries])
+        return row_start, self.device.copied(self.columns)[: self.entries]
 
     def _launch(self, name: str, **arguments: Any) -> None:
         if self.rows:
@@ -260,11 +266,14 @@ class JacobianSums:
         self._operator = operator
         self._table = operator.ranks.together(lambda: RadianceTable(operator))
         self.structure = NearField(operator, self._table.column)
-        device, own = operator.device, self.structure
+        operator.ranks.together(self._make_room)
+
+    def _make_room(self) -> None:
+        device, own = self._operator.device, self.structure
         self._near = device.zeros(max(own.entries, 1), np.float32)
         self._far = device.zeros((max(len(own.row_blocks), 1), len(own.voxel_blocks)), np.float32)
         self._by_voxel = own.by_voxel.arrays(self._near, self._far)
-        constant = operator.device.constant
+        constant = device.constant
         self._sizes = {
             "block_pixels": constant(own.pixel_blocks.sizes[own.row_blocks]),
             "block_voxels": constant(own.voxel_blocks.sizes),
