@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import xarray as xr
 
 import cloudtomo_cl as ct
 from cloudtomo_cl import memory
+from cloudtomo_cl.commands.reconstruction import _say_if_memory_is_tight
 from cloudtomo_cl.errors import DataError, DeviceError
 from cloudtomo_cl.files.extinction import read_extinction
 from cloudtomo_cl.inversion.footprint import stage_footprint
@@ -102,6 +104,25 @@ def test_a_run_that_a_deep_cloud_may_end_begins_with_a_warning(of_a_run, monkeyp
     table = table_footprint(most_cells(40**3)).device
     monkeypatch.setattr(memory, "free_memory", lambda: needed + table)
     assert check_memory(*given) == ""
+
+
+def test_a_command_says_so(of_a_run, monkeypatch):
+    (scene, measurements, stages, device, solver, mask), needed = of_a_run(ct.GaussNewton())
+    monkeypatch.setattr(memory, "free_memory", lambda: 1.01 * needed)
+    settings, told = SimpleNamespace(stage=stages, solver=solver), []
+    job = SimpleNamespace(scene=scene, measurements=measurements, settings=settings, device=device, say=told.append)
+    _say_if_memory_is_tight(job, mask)
+    assert len(told) == 1 and "ends with an error if the cloud turns out so deep" in told[0]
+
+
+def test_so_does_a_recovery_in_python(device, monkeypatch):
+    operator = ct.RadianceOperator(SCENE, [view(3, 3)], device)
+    images = ct.Measurements.rendered(operator, operator.render(np.full(GRID.shape, 5.0), 4))
+    stage, mask = ct.Stage(grid=GRID.shape, iterations=1, samples=4), np.ones(GRID.shape, bool)
+    needed = stage_footprint(SCENE, images, stage, ct.GaussNewton(), mask)
+    monkeypatch.setattr(memory, "free_memory", lambda: 1.01 * (needed.device + needed.host + needed.stored))
+    with pytest.warns(RuntimeWarning, match="a reconstruction with 4 x 4 x 4 voxels .* of a very deep cloud, needs"):
+        ct.reconstruct(SCENE, images, [stage], ct.Prior(), mask=mask, device=device, uncertainty=0)
 
 
 def test_by_replay_no_cloud_is_too_deep(of_a_run, monkeypatch):
