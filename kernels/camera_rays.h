@@ -114,7 +114,6 @@ inline float cross_voxel(const __constant Scene *scene, const Ray *ray, const Vo
 #define TRAVERSAL fly_and_gather
 #define TRAVERSAL_CONTEXT , CameraRay *own
 #define CROSSES(index, length) cross_voxel(scene, ray, &walk, length, droplets, extinction, flight.depth, own)
-#define SKIPS()
 #include "walk/traversal.h"
 
 inline void deposit_along_ray(const __constant Scene *scene, const Ray *ray, const VoxelWalk *walk, float length,
@@ -131,7 +130,6 @@ inline void deposit_along_ray(const __constant Scene *scene, const Ray *ray, con
 #define TRAVERSAL_CONTEXT , CameraRay *own, Tally *tally
 #define CROSSES(index, length) \
     deposit_along_ray(scene, ray, &walk, length, droplets, extinction, flight.depth, own, tally)
-#define SKIPS()
 #include "walk/traversal.h"
 
 /* What droplets send from behind all cells, as the camera sees it. */

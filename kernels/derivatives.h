@@ -65,7 +65,6 @@ inline void deposit_crossing(const __constant Scene *scene, const Ray *ray, cons
 #define TRAVERSAL fly_and_deposit
 #define TRAVERSAL_CONTEXT , Payload payload, Tally *tally
 #define CROSSES(index, length) deposit_crossing(scene, ray, &walk, length, droplets, payload, tally)
-#define SKIPS()
 #include "walk/traversal.h"
 
 /* Where a shadow ray takes from a local estimate. */
@@ -79,7 +78,6 @@ inline void deposit_shadow(int index, float length, float radiance, Tally *tally
 #define TRAVERSAL fly_to_sun
 #define TRAVERSAL_CONTEXT , float radiance, Tally *tally
 #define CROSSES(index, length) deposit_shadow(index, length, radiance, tally)
-#define SKIPS()
 #include "walk/traversal.h"
 
 inline Payload payload_of(const Medium *medium, const Segment *segment, float share)

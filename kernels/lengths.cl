@@ -11,7 +11,6 @@ typedef struct {
 #define TRAVERSAL fly_and_measure
 #define TRAVERSAL_CONTEXT , const Tally *tally
 #define CROSSES(index, length) accumulate(tally->lengths + index, tally->unit * length)
-#define SKIPS()
 #include "walk/traversal.h"
 
 inline Flight tally_fly(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)

@@ -15,8 +15,8 @@ inline int tile_corner(const __global Tile *tile, int slab, int across)
     return (int)floor(tile->centre[across] + (float)slab * tile->slope[across]) - TILE_WIDTH / 2;
 }
 
-/* From a voxel to another one, the nearest of its periodic copies. */
-inline int nearest_copy(int offset, int count, bool wraps)
+/* The offset from one voxel to another, modulo the count where the domain repeats itself: from 0 to below it. */
+inline int wrapped_offset(int offset, int count, bool wraps)
 {
     if (!wraps)
         return offset;
@@ -34,9 +34,9 @@ inline int tile_slot(const __constant Scene *scene, const __global Tile *tile, i
     const int at = slab + tile->first_slab;
     const bool periodic = scene->periodic;
     const int u =
-        nearest_copy(component(voxel, first) - tile_corner(tile, at, 0), scene->shape[first], periodic && first < 2);
-    const int v =
-        nearest_copy(component(voxel, second) - tile_corner(tile, at, 1), scene->shape[second], periodic && second < 2);
+        wrapped_offset(component(voxel, first) - tile_corner(tile, at, 0), scene->shape[first], periodic && first < 2);
+    const int v = wrapped_offset(component(voxel, second) - tile_corner(tile, at, 1), scene->shape[second],
+                                 periodic && second < 2);
     if (u < 0 || u >= TILE_WIDTH || v < 0 || v >= TILE_WIDTH)
         return -1;
     return (slab * TILE_WIDTH + u) * TILE_WIDTH + v;
@@ -53,7 +53,7 @@ inline int slot_index(const __constant Scene *scene, const __global Tile *tile, 
     place[second] = tile_corner(tile, at, 1) + slot % TILE_WIDTH;
     for (int n = 0; n < 3; ++n) {
         if (scene->periodic && n < 2 && n != axis)
-            place[n] = nearest_copy(place[n], scene->shape[n], true);
+            place[n] = wrapped_offset(place[n], scene->shape[n], true);
         if (place[n] < 0 || place[n] >= scene->shape[n])
             return -1;
     }

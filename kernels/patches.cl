@@ -8,6 +8,8 @@
  *
  * The halo is the grid with so many voxels more around it that no tile reads beyond; they are 0. */
 
+#include "lanes.h"
+
 #define VALUES (PATCH_X * PATCH_Y * PATCH_Z)
 #define CHUNKS ((VALUES + LANES - 1) / LANES)
 #define PLACE(x, y, z) (((x) * PATCH_Y + (y)) * PATCH_Z + (z))
@@ -42,13 +44,6 @@ inline int2 centres_of(int one, int other, int width, int count)
 }
 
 inline int3 int3_of(ushort4 voxel) { return (int3)(voxel.x, voxel.y, voxel.z); }
-
-inline float sum_of(float8 lanes)
-{
-    const float4 four = lanes.lo + lanes.hi;
-    const float2 two = four.lo + four.hi;
-    return two.x + two.y;
-}
 
 /* The component that makes minus a patch's log density least, and how much more that is than for a clear one's mean. */
 __kernel void choose_components(CHOOSE_COMPONENTS_PARAMETERS)

@@ -47,7 +47,6 @@ inline void deposit_light(const __constant Scene *scene, const Ray *ray, const V
 #define TRAVERSAL fly_and_deposit
 #define TRAVERSAL_CONTEXT , int bin, float weight, Tally *tally
 #define CROSSES(index, length) deposit_light(scene, ray, &walk, length, bin, weight, tally)
-#define SKIPS()
 #include "walk/traversal.h"
 
 inline Flight on_flight(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)

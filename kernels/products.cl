@@ -2,12 +2,7 @@
  * sum is one work item's, in the order of its entries; those of the far field are made in parts of FAR_PART, which are
  * added in theirs. WIDTH is that of the vectors which are read at a time, 8. */
 
-inline float sum_of(float8 lanes)
-{
-    const float4 four = lanes.lo + lanes.hi;
-    const float2 two = four.lo + four.hi;
-    return two.x + two.y;
-}
+#include "lanes.h"
 
 /* near x + far x. */
 __kernel void jacobian_times(JACOBIAN_TIMES_PARAMETERS)

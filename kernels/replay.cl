@@ -86,13 +86,11 @@ inline void cross(const Medium *medium, const Ray *ray, const VoxelWalk *walk, f
 #define TRAVERSAL fly_and_deposit
 #define TRAVERSAL_CONTEXT , float radiance, Tally *tally
 #define CROSSES(index, length) cross(medium, ray, &walk, length, radiance, tally)
-#define SKIPS()
 #include "walk/traversal.h"
 
 #define TRAVERSAL fly_to_sun
 #define TRAVERSAL_CONTEXT , float radiance, const Tally *tally
 #define CROSSES(index, length) deposit_crossing(tally, index, length, radiance)
-#define SKIPS()
 #include "walk/traversal.h"
 
 /* Where a flight that `radiance` depends on has ended. */

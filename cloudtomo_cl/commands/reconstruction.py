@@ -29,9 +29,10 @@ from cloudtomo_cl.files.truth import read_truth
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint
 from cloudtomo_cl.inversion.priors import unlike_prior
-from cloudtomo_cl.inversion.reconstruct import check, reconstruct
+from cloudtomo_cl.inversion.reconstruct import check, check_memory, reconstruct
 from cloudtomo_cl.inversion.records import COLUMNS, IterationRecord, Reconstruction
 from cloudtomo_cl.inversion.run import records
+from cloudtomo_cl.inversion.stages import stages_of
 from cloudtomo_cl.opencl.device import Device, choose_device
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.metrics import delta, epsilon
@@ -197,11 +198,13 @@ def execute(job: Job) -> Outcome:
     _say_what_begins(job)
     mask = _carve(job) if job.resumed is None else job.resumed.mask
     before = [] if job.resumed is None else records(job.resumed)
+    _say_if_memory_is_tight(job, mask)
     job.folder.begin(_description(job), before or None)
     stop.answer = "finishing the iteration"
     try:
         with warnings.catch_warnings(), ReconstructionProgress(job.console, job.settings.run.time_limit) as show:
-            warnings.filterwarnings("ignore", "the prior was learnt", RuntimeWarning)  # it is told already
+            # These are told already.
+            warnings.filterwarnings("ignore", "the prior was learnt|a reconstruction with", RuntimeWarning)
             show.go_on(before)
 
             def record(iteration: IterationRecord) -> None:
@@ -255,6 +258,14 @@ def _say_what_begins(job: Job) -> None:
     job.say(f"going on from {where}, {duration(resumed.seconds)}")
     if resumed.device != job.device.name:
         job.say(f"the run was on {resumed.device}: on {job.device.name} bits may differ")
+
+
+def _say_if_memory_is_tight(job: Job, mask: np.ndarray) -> None:
+    if not mask.any():
+        return  # which is refused
+    given = job.scene, job.measurements, stages_of(job.scene.grid, job.settings.stage, job.settings.solver)
+    if tight := ranks.current().together(lambda: check_memory(*given, job.device, job.settings.solver, mask)):
+        job.say(tight)
 
 
 def _carve(job: Job) -> np.ndarray:

@@ -105,8 +105,8 @@ def prepare(request: Request) -> Job:
     if samples is None and target_error is None:
         # Images that are rendered again tell how they were.
         samples, target_error = made.get("samples"), made.get("target_error")
-    if target_error is None:
-        samples = samples or _DEFAULT_SAMPLES
+    if samples is None and target_error is None:
+        samples = _DEFAULT_SAMPLES
     noise = None if made.get("noise") is None else noise_of_table(request.scene, made["noise"])
     device = choose_device(request.device, ranks.current())
     return Job(

@@ -21,6 +21,22 @@ from cloudtomo_cl.transport.tiles import about_how_many_entries
 _PRIOR_BYTES_PER_VOXEL, _HOST_BYTES_PER_VOXEL = 56, 40
 
 
+def deep_growth(stage: Stage, solver: Any, mask: np.ndarray | None) -> Footprint:
+    """What a stage may take beyond its footprint, if the cloud is as deep as can be.
+
+    A warning is made of it, no refusal: how deep a cloud is, images tell. The radiance table may triple, which at 128^3
+    is 1.5 GB of 6.5 GB, but a recovery there has taken 5.1 GB in all: machines of 8 GB would be refused what they hold.
+
+    Parameters
+    ----------
+    solver : whose method `deep_growth(voxels)`, if there is one, says what it takes
+    mask : bool, on the scene's grid; without one nothing is known
+    """
+    if mask is None or not hasattr(solver, "deep_growth"):
+        return Footprint()
+    return solver.deep_growth(int(coarsened(mask, stage.grid).sum()))
+
+
 def stage_footprint(
     scene: Scene,
     measurements: Measurements,

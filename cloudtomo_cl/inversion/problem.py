@@ -10,7 +10,6 @@ import numpy as np
 
 from cloudtomo_cl.blas import with_one_blas_thread
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.files.missing import require_present
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.objective import AveragedImage
 from cloudtomo_cl.inversion.pixels import ActivePixels, active_pixels
@@ -21,6 +20,7 @@ from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
 from cloudtomo_cl.scene.arrays import filled
 from cloudtomo_cl.scene.grid import Grid, coarsened
+from cloudtomo_cl.scene.masks import checked_mask
 from cloudtomo_cl.scene.measurements import Measurements, check_wavelength
 from cloudtomo_cl.scene.pointing import moved
 from cloudtomo_cl.scene.scene import Scene
@@ -81,7 +81,7 @@ class Problem:
         ----------
         scene : what is known: grid, optics, sun, air, surface, boundary
         measurements : images and views
-        mask : bool on the scene's grid, where cloud may be; by default what carving leaves (`carve`)
+        mask : bool, or 0 and 1, on the scene's grid, where cloud may be; by default what carving leaves (`carve`)
         prior : by default `PatchPrior()`; or an object of your own, see `Regulariser`
         grid : numbers of voxels along x, y, z that the same domain is to have; by default the scene's
         device : where to compute; by default `choose_device()`
@@ -103,7 +103,8 @@ class Problem:
         voxels = Voxels(coarse.grid, coarsened(mask, shape))
         active = active_pixels(measurements, coarse.grid, voxels.mask)
         operator = RadianceOperator(coarse, active.views, device, active.listed, mask=voxels.mask)
-        return cls(voxels, active, operator, stage_prior(prior or PatchPrior(), voxels, device), prior_weight, samples)
+        prior = PatchPrior() if prior is None else prior
+        return cls(voxels, active, operator, stage_prior(prior, voxels, device), prior_weight, samples)
 
     def __repr__(self) -> str:
         return f"Problem({len(self.active)} pixels, {len(self.voxels)} voxels of {self.grid.text})"
@@ -168,9 +169,7 @@ class Problem:
         from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 
         x = self._checked(x)
-        rendering = self.operator.render(
-            self.on_grid(x), samples or self.samples or self.default_samples, seed, stream, store_paths=True
-        )
+        rendering = self.operator.render(self.on_grid(x), self._count(samples), seed, stream, store_paths=True)
         derivatives = JacobianAverage(self.operator)
         derivatives.add(rendering, 1.0)
         return LinearModel(x.copy(), rendering.mean, rendering.standard_error**2, derivatives.jacobian, rendering)
@@ -186,8 +185,7 @@ class Problem:
         Parameters and errors as of `linearise`.
         """
         x = self._checked(x)
-        count = samples or self.samples or self.default_samples
-        rendering = self.operator.render(self.on_grid(x), count, seed, stream, store_paths=True)
+        rendering = self.operator.render(self.on_grid(x), self._count(samples), seed, stream, store_paths=True)
         image = AveragedImage.empty(len(self.active))
         data = (rendering.halves, self.radiance, self.weights, self.active.calibration)
         value, _ = image.cost(*data)
@@ -204,6 +202,10 @@ class Problem:
         both = measured + 2 * modelled_noise / len(self.active)
         return NoiseUnits(self.prior_weight * measured, both, self.prior_weight)
 
+    def _count(self, samples: int | None) -> int:
+        """Paths per pixel: those asked for, or the problem's, or those by default; `render` refuses 0."""
+        return next(count for count in (samples, self.samples, self.default_samples) if count is not None)
+
     def _nothing(self) -> DeviceArray:
         return self.operator.device.zeros(self.grid.shape, np.float32)
 
@@ -212,16 +214,3 @@ class Problem:
         if x.shape != (len(self.voxels),):
             raise DataError(f"x has shape {x.shape}: it must be ({len(self.voxels)},), the voxels of the mask")
         return x
-
-
-def checked_mask(mask: np.ndarray, grid: Grid) -> np.ndarray:
-    """A mask as bool. DataError if it is not of the grid, is missing in a voxel, or leaves nothing."""
-    mask = filled(mask)
-    if mask.dtype.kind == "f":
-        require_present("the mask", "cloud", mask, "say of every voxel whether it may hold cloud")
-    mask = np.asarray(mask, bool)
-    if mask.shape != grid.shape:
-        raise DataError(f"mask has shape {mask.shape}, the grid {grid.shape}")
-    if not mask.any():
-        raise DataError("the mask is empty: no voxel may hold cloud; are images, views and surface right?")
-    return mask

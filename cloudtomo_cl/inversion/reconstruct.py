@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.errors import DataError, DeviceError
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, identity_of, read_checkpoint
 from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser, unlike_prior
-from cloudtomo_cl.inversion.problem import Problem, checked_mask
+from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.records import History, IterationRecord, Reconstruction
 from cloudtomo_cl.inversion.run import (
     DIVERGED_DEPTH,
@@ -41,6 +41,7 @@ from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Grid, mean_chord, resample_in_mask
+from cloudtomo_cl.scene.masks import checked_mask
 from cloudtomo_cl.scene.measurements import Measurements, check_wavelength
 from cloudtomo_cl.scene.metrics import epsilon
 from cloudtomo_cl.scene.scene import Scene
@@ -49,6 +50,8 @@ from cloudtomo_cl.scene.seeds import checked_seed
 _LOGGER = logging.getLogger(__name__)
 # Where a solver does not say: optical depth of what a recovery starts from, along a mean chord of the mask's box.
 _START_DEPTH = 1.0
+# What to do where memory is short.
+_FEWER = "choose a coarser [grid] or [[stage]], or fewer samples or pixels"
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +107,8 @@ def reconstruct(
     stages : by default `automatic_stages` for the scene's grid and the solver
     prior : by default `PatchPrior()`; or an object of your own, see `Regulariser`
     solver : by default `GaussNewton()`; or `Adam`, `SGD`, or an object of your own, see `Solver`
-    mask : bool on the scene's grid, where cloud may be; by default what carving leaves (`carve`), or the checkpoint's
+    mask : bool, or 0 and 1, on the scene's grid, where cloud may be; by default what carving leaves (`carve`), or the
+        checkpoint's
     device : by default `choose_device()`; one that was chosen with a communicator shares the work with its other ranks,
         which all call this with the same arguments: history and result are on all, callback and checkpoint are the
         first rank's, and one that asks to stop stops all
@@ -122,7 +126,8 @@ def reconstruct(
     uncertainty : draws that the standard error is made of, at the end, in the time of an iteration or two; 0: none.
         Known with Gauss-Newton, when the last stage was reached, the images' noise is known, and nobody asked to stop
 
-    Warns of voxels of a shape that the patch prior was not learnt from (RuntimeWarning).
+    Warns of voxels of a shape that the patch prior was not learnt from, and of memory that a deep cloud may not find
+    (RuntimeWarning).
 
     Raises
     ------
@@ -131,7 +136,8 @@ def reconstruct(
     TransportError : a radiance, a gradient or an extinction is not finite, or diverged
     DeviceError : the device failed or has not enough memory
     """
-    device, prior, solver = device or choose_device(), prior or PatchPrior(), solver or GaussNewton()
+    device = device or choose_device()
+    prior, solver = _by_default(prior, solver)
     ranks = device.ranks
 
     def checked() -> Checkpoint | None:
@@ -146,7 +152,9 @@ def reconstruct(
     if mask is None:
         mask = carved_mask(scene, measurements, device) if resumed is None else resumed.mask
     question = _Question(scene, measurements, prior, checked_mask(mask, scene.grid), device)
-    ranks.together(lambda: check_memory(scene, measurements, stages, device, solver, question.mask))
+    tight = ranks.together(lambda: check_memory(scene, measurements, stages, device, solver, question.mask))
+    if ranks.is_first and tight:
+        warnings.warn(tight, RuntimeWarning, stacklevel=3)
     identity = identity_of(scene, measurements, stages, prior, solver, question.mask, truth, seed)
     run = Run(stages, question.mask) if resumed is None else Run.resumed(stages, question.mask, resumed)
     keeper = KeepCheckpoints(Checkpoints(checkpoint, checkpoint_interval, ranks), identity, device.name)
@@ -265,7 +273,7 @@ def check(
     ------
     DataError, DeviceError : as `reconstruct`
     """
-    prior, solver = prior or PatchPrior(), solver or GaussNewton()
+    prior, solver = _by_default(prior, solver)
     stages = stages_of(scene.grid, stages, solver)
     checked_seed(seed)
     check_wavelength(scene, measurements)
@@ -282,6 +290,11 @@ def check(
     _check_start(scene.grid, stages, solver)
     if resume is not None and mask is not None:
         resume.check(identity_of(scene, measurements, stages, prior, solver, mask, truth, seed))
+
+
+def _by_default(prior: AnyPrior | Regulariser | None, solver: Solver | None) -> tuple[AnyPrior | Regulariser, Solver]:
+    """What is given, even if it is false in Python (an object of length 0), or what recoveries have by default."""
+    return PatchPrior() if prior is None else prior, GaussNewton() if solver is None else solver
 
 
 def _check_start(grid: Grid, stages: Sequence[Stage], solver: Any) -> None:
@@ -303,15 +316,23 @@ def check_memory(
     device: Device,
     solver: Any = None,
     mask: np.ndarray | None = None,
-) -> None:
+) -> str:
     """DataError or DeviceError if a stage would not fit into the memory of machine and device.
 
     mask : bool, on the scene's grid; without one all voxels count, and what solvers keep does not
-    """
-    from cloudtomo_cl.inversion.footprint import stage_footprint
 
+    Returns a warning if one would not fit where it recovers a cloud as deep as can be; otherwise nothing.
+    """
+    from cloudtomo_cl.inversion.footprint import deep_growth, stage_footprint
+
+    tight = ""
     for stage in stages:
         pixels = sum(image.size for image in measurements.images)
         what = f"a reconstruction with {shape_text(stage.grid)} voxels and {pixels} pixels"
         needed: Footprint = stage_footprint(scene, measurements, stage, solver, mask, device.ranks.size)
-        needed.require(device, what, "choose a coarser [grid] or [[stage]], or fewer samples or pixels")
+        needed.require(device, what, _FEWER)
+        try:
+            (needed + deep_growth(stage, solver, mask)).require(device, f"{what}, of a very deep cloud,", _FEWER)
+        except (DataError, DeviceError) as error:
+            tight = f"{error}. It begins, and ends with an error if the cloud turns out so deep"
+    return tight

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.masks import checked_mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,11 +17,18 @@ class Voxels:
     Attributes
     ----------
     grid : where they lie
-    mask : bool, shape of the grid
+    mask : bool, shape of the grid; given 0 and 1, it becomes so
+
+    Raises
+    ------
+    DataError : the mask is none of the grid (`checked_mask`)
     """
 
     grid: Grid
     mask: np.ndarray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mask", checked_mask(self.mask, self.grid))
 
     def __len__(self) -> int:
         return int(np.count_nonzero(self.mask))

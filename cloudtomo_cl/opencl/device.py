@@ -200,9 +200,10 @@ class Device:
 
     Attributes
     ----------
-    is_cpu : and no accelerator, even one of the same memory
+    is_cpu : whether the device is a CPU. An accelerator is none, even if it shares the machine's memory
     lock : of what threads share: a kernel's arguments are its own, from when they are set until it is launched
-    regenerates : whether work items walk several paths, for they go in step
+    regenerates : whether a work item that has finished its path takes another one: on GPUs, whose work items run in
+        lockstep
     keeps_local : whether what a path is while it flies lies in local memory
     group_size : work items of a group
     options : of its compiler

@@ -53,12 +53,11 @@ class Footprint:
             return held.require(device, what, advice)
         # A CPU's memory is the machine's own, whatever its driver says: PoCL 3.0 said 5.3 GB of 24, and gave 9.
         total = math.inf if device.is_cpu else device.opencl.global_mem_size
-        for needed, there, words in (
-            (self.device, total, "has"),
-            (self.largest, device.opencl.max_mem_alloc_size, "gives at most"),
+        for needed, there, piece, words in (
+            (self.device, total, "", "has"),
+            (self.largest, device.opencl.max_mem_alloc_size, " in one piece", "gives at most"),
         ):
             if needed > there:
-                piece = " in one piece" if needed is self.largest else ""
                 raise DeviceError(
                     f"{what} needs about {size_text(needed)} of memory{piece}, device {device.name} {words} "
                     f"{size_text(there)}: {advice}"

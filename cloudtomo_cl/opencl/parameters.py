@@ -1,6 +1,6 @@
 """The kernels' parameters: one description makes their lists in OpenCL C and converts what the host passes.
 
-In OpenCL C a kernel is written as `__kernel void render_paths(RENDERPATHS_PARAMETERS)`; the macro comes from here
+In OpenCL C a kernel is written as `__kernel void render_paths(RENDER_PATHS_PARAMETERS)`; the macro comes from here
 (`macros`). On the host a `Kernel` takes plain Python numbers, buffers and arrays, in their order or by name.
 """
 
@@ -38,7 +38,7 @@ PATHS = (
 )
 # Of kernels whose work items walk several paths on a GPU: kernels/walk/turns.h. `Device.launch` gives it.
 TURNS = "turns"
-_TURNS = (f"const uint {TURNS}",)  # as many times as many paths as work items
+_TURNS = (f"const uint {TURNS}",)  # paths per work item
 _REPLAY = (
     *PATHS,
     "const __global float *path_radiance",  # from render_paths, sr^-1

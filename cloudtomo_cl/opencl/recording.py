@@ -106,6 +106,9 @@ class Recorder(threading.local):
             self.recording = recording
             try:
                 function()
+            except BaseException:
+                recording.close()  # a part of it must not pass for the whole the next time
+                raise
             finally:
                 self.recording = None
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.scene.sensors import RayView, View
 
 if TYPE_CHECKING:
@@ -19,6 +20,42 @@ def all_pixels(views: Sequence[View]) -> np.ndarray:
     return np.column_stack(
         [np.repeat(np.arange(len(views)), counts), np.concatenate([np.arange(count) for count in counts])]
     ).astype(np.uint32)
+
+
+def checked_pixels(views: Sequence[View], pixels: Any) -> np.ndarray:
+    """A list of pixels as kernels take it: uint32, shape (pixels, 2).
+
+    Parameters
+    ----------
+    views : the sensors
+    pixels : integers (view, row * width + column), both counted from 0, shape (pixels, 2)
+
+    Raises
+    ------
+    DataError : it has another shape, is empty or not of integers, or names a view or a pixel that is not there
+    """
+    given = np.asarray(pixels)
+    if given.size == 0:
+        raise DataError("the list of pixels is empty: give at least one (view, row * width + column)")
+    if given.ndim != 2 or given.shape[1] != 2:
+        raise DataError(f"pixels has shape {given.shape}: it must be (pixels, 2), of (view, row * width + column)")
+    if given.dtype.kind not in "iu":
+        raise DataError(f"pixels is of type {given.dtype}: it must be integers (view, row * width + column)")
+    view, pixel = given.T.astype(np.int64)
+    counts = np.array([view.pixels[0] * view.pixels[1] for view in views])
+    wrong = (view < 0) | (view >= len(counts))
+    if wrong.any():
+        number = int(np.argmax(wrong))
+        raise DataError(f"pixels[{number}] is of view {view[number]}: there are views 0 to {len(counts) - 1}")
+    wrong = (pixel < 0) | (pixel >= counts[view])
+    if wrong.any():
+        number = int(np.argmax(wrong))
+        last = counts[view[number]] - 1
+        raise DataError(
+            f"pixels[{number}] is pixel {pixel[number]} of view {view[number]}, which has pixels 0 to {last} "
+            "(row * width + column)"
+        )
+    return np.ascontiguousarray(given, np.uint32)
 
 
 def neighbours(views: Sequence[View], pixels: np.ndarray) -> scipy.sparse.csr_matrix:

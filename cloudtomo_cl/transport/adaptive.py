@@ -76,12 +76,12 @@ def render_to_error(
     """
     if not target_error > 0:
         raise DataError(f"target_error is {target_error}: it must be above 0, for instance 0.01 for 1 %")
-    extinction = operator.on_device(extinction)
+    extinction = operator.ranks.together(lambda: operator.on_device(extinction))
     pilot, audits = _pilot(operator, extinction, target_error / _MARGIN, seed, most_paths)
     wanted = _samples(operator, pilot, target_error / _MARGIN)
     levels = np.ceil(np.log(np.maximum(wanted / _LEAST_SAMPLES, 1.0)) / np.log(_LEVEL) - 1e-9).astype(int)
     groups = [(level, np.flatnonzero(levels == level)) for level in np.unique(levels)]
-    parts = [operator.of_pixels(operator.pixels[chosen]) for _, chosen in groups]
+    parts = operator.ranks.together(lambda: [operator.of_pixels(operator.pixels[chosen]) for _, chosen in groups])
     done: list[Rendering | None] = [None] * len(groups)
     budget, factor = most_paths - sum(audit.launched for audit in audits), 1.0
     while True:

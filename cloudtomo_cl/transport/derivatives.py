@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,12 @@ from cloudtomo_cl.opencl.fixed_point import overflow, summed
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
 from cloudtomo_cl.scene.scene import Cloud
-from cloudtomo_cl.transport.cells import Cells, depth_within, largest_beside
+from cloudtomo_cl.transport.cells import Cells, depth_within, largest_beside, most_cells
 from cloudtomo_cl.transport.directions import BINS, FEATURES, scattering_matrix, solid_angles
+from cloudtomo_cl.transport.gradient import deposited
+from cloudtomo_cl.transport.medium import FilledMedium
 from cloudtomo_cl.transport.photons import Photons
-from cloudtomo_cl.transport.radiance import FIXED_POINT_SCALE, RadianceOperator, Rendering, largest_adjoint
+from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering
 
 # Photons from the sun for each path of the rendering whose derivatives are wanted.
 _PHOTONS_PER_PATH = 1
@@ -24,8 +27,8 @@ _PHOTONS_PER_PATH = 1
 _PATHS_PER_RAY = 4
 # In which ranks add up their sums.
 _SUMMED_PARTS = 32
-# Of an entry on the device: its sum, and then two numbers in its place. On the host, where several ranks add up: sums
-# of a part.
+# Bytes of a table entry: on the device the 64-bit sum, later two floats in its place; on the host one part of the sums,
+# where ranks add them up.
 _BYTES_PER_ENTRY, _HOST_BYTES = 8, 24 / _SUMMED_PARTS
 # Kernels count the table's entries with signed integers of 32 bits.
 _MOST_ENTRIES = 2**31 - 1
@@ -37,8 +40,14 @@ def table_footprint(cells: int) -> Footprint:
     return Footprint(_BYTES_PER_ENTRY * entries, _BYTES_PER_ENTRY * entries, _HOST_BYTES * entries)
 
 
+def table_growth(voxels: int) -> Footprint:
+    """What the table of so many voxels may take beyond a cell each, if they are as deep as can be."""
+    least, most = table_footprint(voxels), table_footprint(most_cells(voxels))
+    return Footprint(most.device - least.device, most.largest, most.host - least.host)
+
+
 class RadianceTable:
-    """A table of the diffuse radiance by voxel and direction, and gradients by it.
+    """A table of the diffuse radiance by cell and bin of directions, and gradients by it.
 
     Voxels that are optically deep are divided into cells (cells.py), for light changes inside. Photons from the sun
     fill it (photons.py), as many as the rendering has paths: it is a function of a rendering's extinction, seed and
@@ -46,7 +55,7 @@ class RadianceTable:
 
     Parameters
     ----------
-    operator : with a mask, whose voxels the field covers
+    operator : with a mask, whose voxels the table covers
 
     Raises
     ------
@@ -113,9 +122,17 @@ class RadianceTable:
         TransportError : a sum has overflowed
         DataError, DeviceError : voxels that are deep now have more cells than there is memory for
         """
-        operator, device, scene = self._operator, self._operator.device, self._operator.scene
-        medium = rendering._medium
-        extinction, spacing = medium.extinction.get(), scene.grid.spacing
+        ranks = self._operator.ranks
+        divided, sums = ranks.together(lambda: self._divided(rendering))
+        unit = ranks.together(lambda: self._filled(rendering, sums))
+        if ranks.size > 1:
+            self._add_ranks(sums)
+        ranks.together(lambda: self._tabulated(rendering._medium, divided, sums, unit))
+
+    def _divided(self, rendering: Rendering) -> tuple[Cells, DeviceArray]:
+        """The cells at a rendering's extinction, and room for their sums."""
+        device, scene = self._operator.device, self._operator.scene
+        extinction, spacing = rendering._medium.extinction.get(), scene.grid.spacing
         is_periodic = scene.boundary.horizontal == "periodic"
         around = (depth_within(extinction, spacing, is_periodic), largest_beside(extinction, is_periodic))
         within, beside = (field[self._mask] for field in around)
@@ -124,12 +141,13 @@ class RadianceTable:
         divided = Cells.of(extinction[self._mask], spacing, asymmetry, within, beside, photons)
         self.cells = len(divided)
         self.release()
-        operator.ranks.together(lambda: _require_room(self.cells, device))
+        _require_room(self.cells, device)
         self._places = device.constant(divided.places)
-        sums = device.zeros((self.cells, BINS), np.int64)
-        unit = operator.ranks.together(lambda: self._filled(rendering, sums))
-        if operator.ranks.size > 1:
-            self._add_ranks(sums)
+        return divided, device.zeros((self.cells, BINS), np.int64)
+
+    def _tabulated(self, medium: FilledMedium, divided: Cells, sums: DeviceArray, unit: float) -> None:
+        """Makes the table of all ranks' sums, in their place, and the direct sunlight in its cells."""
+        device, scene = self._operator.device, self._operator.scene
         cell_column = device.constant(divided.voxel.astype(np.int32))
         overflown = device.zeros(1, np.uint32)
         device.launch(
@@ -156,10 +174,15 @@ class RadianceTable:
         device, ranks = self._operator.device, self._operator.ranks
         at_once = -(-self.cells // _SUMMED_PARTS)
         for begin in range(0, self.cells, at_once):
-            part = np.empty((min(at_once, self.cells - begin), BINS), sums.dtype)
             offset = begin * BINS * sums.dtype.itemsize
-            device.read(sums.data, part, offset)
-            device.write(sums.data, summed(part, ranks, "the radiance table", "cell and direction"), offset)
+
+            def own(count: int = min(at_once, self.cells - begin), offset: int = offset) -> np.ndarray:
+                part = np.empty((count, BINS), sums.dtype)
+                device.read(sums.data, part, offset)
+                return part
+
+            part = summed(ranks.together(own), ranks, "the radiance table", "cell and direction")
+            device.write(sums.data, part, offset)
 
     def _filled(self, rendering: Rendering, sums: DeviceArray) -> float:
         """Adds what this rank's photons bring; returns what `Photons.fill` does."""
@@ -183,38 +206,31 @@ class RadianceTable:
         }  # fmt: skip
 
     def _walk(self, rendering: Rendering, adjoint: np.ndarray, change: Any) -> tuple[Any, np.ndarray]:
+        """The gradient by the table as it is; as `gradient`."""
+        operator, samples = self._operator, rendering.samples
+        gradient, tangent = deposited(operator, adjoint, samples, partial(self._deposit, rendering, change))
+        return gradient, operator.shares.gathered(tangent) * operator.scene.sun.irradiance / samples
+
+    def _deposit(self, rendering: Rendering, change: Any, factors: DeviceArray, total: DeviceArray) -> np.ndarray:
+        """Adds what this rank's paths deposit (`deposited`); returns the sums of its pixels' tangents."""
         operator = self._operator
-        total = operator.device.zeros(operator.scene.grid.shape, np.int64)
-        largest = largest_adjoint(adjoint)
-        shares = adjoint / largest if largest > 0 else np.zeros_like(adjoint)
-        factors = operator.device.constant((operator.shares.taken(shares) * FIXED_POINT_SCALE).astype(np.float32))
-
-        def walk() -> np.ndarray:
-            tangent, rays = np.zeros(len(operator.shares)), self.rays(rendering)
-            weight, pixels = rendering.samples / rays, len(tangent)
-            for launch in operator.stored_launches(rendering):
-                paths = operator.device.empty(launch.paths, np.float32)
-                launch.run(
-                    self._gradient_paths, **self.buffers, adjoint=factors, change=change, gradient=total,
-                    path_tangent=paths,
-                )  # fmt: skip
-                tangent = _added_in_order(tangent, paths.get().reshape(-1, pixels))
-                of_rays = operator.device.empty(launch.paths, np.float32)
-                done = launch.run_rays(
-                    self._gradient_rays, pixels, rays, **self.buffers, adjoint=factors, change=change, gradient=total,
-                    ray_tangent=of_rays, weight=weight,
-                )  # fmt: skip
-                tangent = _added_in_order(tangent, of_rays.get()[: done * pixels].reshape(-1, pixels))
-                rays -= done
-            return tangent
-
-        tangent = operator.shares.gathered(operator.ranks.together(walk))
-        operator.make_total(total)
-        irradiance = operator.scene.sun.irradiance
-        unit = largest / FIXED_POINT_SCALE * irradiance / (rendering.samples // 2)
-        with operator.device.lock:  # pyopencl's own kernels, too, are shared by threads
-            gradient = total.astype(np.float32) * np.float32(unit)
-        return gradient, tangent * irradiance / rendering.samples
+        tangent, rays = np.zeros(len(operator.shares)), self.rays(rendering)
+        weight, pixels = rendering.samples / rays, len(tangent)
+        for launch in operator.stored_launches(rendering):
+            paths = operator.device.empty(launch.paths, np.float32)
+            launch.run(
+                self._gradient_paths, **self.buffers, adjoint=factors, change=change, gradient=total,
+                path_tangent=paths,
+            )  # fmt: skip
+            tangent = _added_in_order(tangent, paths.get().reshape(-1, pixels))
+            of_rays = operator.device.empty(launch.paths, np.float32)
+            done = launch.run_rays(
+                self._gradient_rays, pixels, rays, **self.buffers, adjoint=factors, change=change, gradient=total,
+                ray_tangent=of_rays, weight=weight,
+            )  # fmt: skip
+            tangent = _added_in_order(tangent, of_rays.get()[: done * pixels].reshape(-1, pixels))
+            rays -= done
+        return tangent
 
 
 def _require_room(cells: int, device: Device) -> None:

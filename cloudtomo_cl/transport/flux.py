@@ -84,6 +84,18 @@ def _estimate(batches: np.ndarray) -> Estimate:
     return Estimate(mean, error) if mean.ndim else Estimate(float(mean), float(error))
 
 
+def checked_photons(photons: Any) -> int:
+    """A number of photons as a Python integer, exact. DataError if it is no whole number above 0."""
+    try:
+        number = int(photons)
+        is_whole = bool(number == photons)
+    except (TypeError, ValueError, OverflowError):
+        number, is_whole = 0, False
+    if not is_whole or number < 1:
+        raise DataError(f"photons is {photons!r}: it must be a whole number of at least 1")
+    return number
+
+
 def can_be_open(scene: Scene) -> bool:
     """Whether fluxes of a scene can be had with open sides: nothing arrives from an endless plane beside it."""
     return scene.surface.albedo == 0 and (scene.air is None or not scene.air.is_outside)
@@ -135,18 +147,18 @@ class FluxOperator:
         Parameters
         ----------
         extinction : of the droplets, km^-1, shape of the grid; NumPy, or an array on the device
-        photons : at least; rounded up to a multiple of what 32 independent parts need
+        photons : at least, a whole number (1e6 is one); rounded up to a multiple of what 32 independent parts need
         seed : determines every photon
         progress : called with the number of photons done so far
 
         Raises
         ------
-        DataError : extinction of another shape, negative or not finite; no photons, or too many
+        DataError : extinction of another shape, negative or not finite; no photons, too many, or no whole number of
+            them
         AuditError : energy was lost or gained (see `Audit.check`)
         TransportError : a column's sum has overflowed
         """
-        if photons < 1:
-            raise DataError(f"photons is {photons}: it must be at least 1")
+        photons = checked_photons(photons)
         seed = checked_seed(seed)
         field = self._medium.filled(extinction, skips_empty=True)
         samples = -(-photons // (_BATCHES * self._pixels))  # per pixel of the sun and batch

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,21 +46,22 @@ def render_in_parts(
     """
     from cloudtomo_cl.transport.radiance import Rendering
 
-    field, pixels, found = operator.on_device(extinction), operator.pixels, []
+    ranks, pixels, found = operator.ranks, operator.pixels, []
+    medium = ranks.together(lambda: operator.on_device(extinction))
     for begin in range(0, len(pixels), at_once):
-        part = operator.of_pixels(pixels[begin : begin + at_once])
+        part = ranks.together(partial(operator.of_pixels, pixels[begin : begin + at_once]))
 
         def told(done: int, before: int = begin, count: int = len(part.pixels)) -> None:
             if progress:
                 progress(int((samples * before + done * count) / len(pixels)))
 
-        found.append(part.render(field, samples, progress=told, **options))
+        found.append(part.render(medium, samples, progress=told, **options))
     mean, error, halves = (
         np.concatenate([getattr(one, name) for one in found]) for name in ("mean", "standard_error", "halves")
     )
     first = found[0]
     audit = combined([one.audit for one in found])
-    return Rendering(mean, error, halves, samples, first.seed, first.stream, audit, field, first._launches, operator)
+    return Rendering(mean, error, halves, samples, first.seed, first.stream, audit, medium, first._launches, operator)
 
 
 def kept(device: Device, paths: DeviceArray, launches: list[tuple[int, Any]]) -> Any:

@@ -34,17 +34,23 @@ class JacobianAverage:
     @device_errors("the derivatives")
     def __init__(self, operator: RadianceOperator) -> None:
         self._operator = operator
-        self._table = operator.ranks.together(lambda: RadianceTable(operator))
-        device, structure = operator.device, JacobianStructure(operator, self._table.column)
-        self.structure = structure
+        self._table, self.structure = operator.ranks.together(self._prepared)
+        self._columns = columns_of(self.structure, self._near, self._far)
+        self.jacobian = operator.ranks.together(lambda: Jacobian(self.structure, self._near, self._far, self._columns))
+
+    def _prepared(self) -> tuple[RadianceTable, JacobianStructure]:
+        """Table and structure; and room for the values."""
+        operator, device = self._operator, self._operator.device
+        table = RadianceTable(operator)
+        structure = JacobianStructure(operator, table.column)
+        rows, blocks = structure.row_blocks, structure.voxel_blocks
         self._near = device.zeros(max(structure.near.count, 1), np.float32)
-        self._far = device.zeros((max(len(structure.row_blocks), 1), len(structure.voxel_blocks)), np.float32)
-        self._columns = columns_of(structure, self._near, self._far)
-        self.jacobian = Jacobian(structure, self._near, self._far, self._columns)
+        self._far = device.zeros((max(len(rows), 1), len(blocks)), np.float32)
         self._sizes = {
-            "block_pixels": device.constant(structure.pixel_blocks.sizes[structure.row_blocks]),
-            "block_voxels": device.constant(structure.voxel_blocks.sizes),
+            "block_pixels": device.constant(structure.pixel_blocks.sizes[rows]),
+            "block_voxels": device.constant(blocks.sizes),
         }
+        return table, structure
 
     @device_errors("the derivatives")
     def add(self, rendering: Rendering, rate: float) -> None:

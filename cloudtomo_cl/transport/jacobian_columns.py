@@ -95,30 +95,37 @@ class _Exchanged:
         self._near_by_row, self._far_by_row = near, far
         self.shares = structure.voxel_shares
         assert self.shares.owner is not None
-        own_blocks = self.shares.taken(structure.voxel_blocks.of)
-        block = np.zeros(structure.voxels, np.int32)
-        self.blocks, block[self.shares.own] = np.unique(own_blocks, return_inverse=True)
-        constant = self._device.constant
-        self.block = constant(block)
-        self.pixel_block = constant(structure.pixel_blocks.of.astype(np.uint32))
-        # In the order of pixels and slots, for every rank: so all have it.
-        columns = self._device.copied(structure.near.columns)[: structure.near.count]
-        owner = self.shares.owner[columns]
-        self._order = np.argsort(owner, kind="stable").astype(np.uint32)
-        given = np.bincount(owner, minlength=self._ranks.size)
+        columns, given = self._ranks.together(lambda: self._sorted(structure))
         taken = np.concatenate(self._ranks.exchange(list(given[:, None])))
         self._given, self._taken = _cuts(given), _cuts(taken)
         rows = np.repeat(structure.shares.own.astype(np.int32), np.diff(structure.near.start_on_host))
         column, row = self._exchanged(columns), self._exchanged(rows)
-        del owner, rows, columns
-        self._place = np.lexsort((row, column)).astype(np.uint32)
-        counts = np.bincount(column, minlength=structure.voxels)
-        del column
-        self.start = constant(np.concatenate([[0], np.cumsum(counts)]).astype(np.uint32))
-        self.rows = constant(row[self._place].astype(np.uint32))
+        del rows, columns
         self._pixel_blocks = len(structure.pixel_blocks)
+        self._ranks.together(lambda: self._place_columns(column, row, structure.voxels))
         self._rows_of = self._ranks.all(structure.row_blocks)
         self._blocks_of = self._ranks.all(self.blocks)
+
+    def _sorted(self, structure: JacobianStructure) -> tuple[np.ndarray, np.ndarray]:
+        """Sorts this rank's entries by who has their voxels; returns their columns, and how many go to each rank."""
+        assert self.shares.owner is not None
+        own_blocks = self.shares.taken(structure.voxel_blocks.of)
+        block = np.zeros(structure.voxels, np.int32)
+        self.blocks, block[self.shares.own] = np.unique(own_blocks, return_inverse=True)
+        self.block = self._device.constant(block)
+        self.pixel_block = self._device.constant(structure.pixel_blocks.of.astype(np.uint32))
+        # In the order of pixels and slots, for every rank: so all have it.
+        columns = self._device.copied(structure.near.columns)[: structure.near.count]
+        owner = self.shares.owner[columns]
+        self._order = np.argsort(owner, kind="stable").astype(np.uint32)
+        return columns, np.bincount(owner, minlength=self._ranks.size)
+
+    def _place_columns(self, column: np.ndarray, row: np.ndarray, voxels: int) -> None:
+        """Puts the entries of this rank's voxels in the order of their columns."""
+        self._place = np.lexsort((row, column)).astype(np.uint32)
+        counts = np.bincount(column, minlength=voxels)
+        self.start = self._device.constant(np.concatenate([[0], np.cumsum(counts)]).astype(np.uint32))
+        self.rows = self._device.constant(row[self._place].astype(np.uint32))
         self.near = self._device.zeros(max(len(self._place), 1), np.float32)
         self.far = self._device.zeros((self._pixel_blocks, max(len(self.blocks), 1)), np.float32)
 
@@ -132,13 +139,17 @@ class _Exchanged:
         return result
 
     def refresh(self) -> None:
-        values = self._exchanged(self._device.copied(self._near_by_row)[: len(self._order)])
+        values = self._exchanged(
+            self._ranks.together(lambda: self._device.copied(self._near_by_row)[: len(self._order)])
+        )
         for first, last in pairwise(_cuts(np.array([len(values)]))[0]):
             if last > first:
                 self._device.write(self.near.data, values[self._place[first:last]], int(first) * values.itemsize)
         del values
-        of_rank = self._device.copied(self._far_by_row)
-        whole = np.empty((self._pixel_blocks, len(self.blocks)), np.float32)
+        shape = (self._pixel_blocks, len(self.blocks))
+        of_rank, whole = self._ranks.together(
+            lambda: (self._device.copied(self._far_by_row), np.empty(shape, np.float32))
+        )
         at_once = max(max(map(len, self._rows_of)) // _PARTS, 1)
         for first in range(0, max(map(len, self._rows_of)), at_once):
             rows_of = [rows[first : first + at_once] for rows in self._rows_of]

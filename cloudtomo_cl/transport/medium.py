@@ -12,6 +12,7 @@ from cloudtomo_cl.files.missing import require_present
 from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.opencl.layout import scene_struct
 from cloudtomo_cl.scene.arrays import filled
+from cloudtomo_cl.scene.masks import checked_mask
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
 from cloudtomo_cl.scene.scene import Scene, Surface
 
@@ -61,12 +62,12 @@ class Medium:
         extinction is refused
     side_flights : whether paths send flights towards the sun
     truncation : the largest local estimate, sr^-1
-    mask : bool, shape of the grid; where it is False every extinction is to be 0, and walks skip
+    mask : bool, or 0 and 1, shape of the grid; where it is False every extinction is to be 0, and walks skip
 
     Raises
     ------
-    DataError : effective_radius is missing, of another shape, or outside of the phase table; mask of
-        another shape
+    DataError : effective_radius is missing, of another shape, or outside of the phase table; the mask is none of
+        the grid (`checked_mask`)
     """
 
     def __init__(
@@ -78,11 +79,9 @@ class Medium:
         truncation: float = np.inf,
         mask: np.ndarray | None = None,
     ) -> None:
-        if mask is not None and mask.shape != scene.grid.shape:
-            raise DataError(f"mask has shape {mask.shape}, the grid {scene.grid.shape}")
         self.scene = scene
         self.device = device
-        self.mask = mask
+        self.mask = None if mask is None else checked_mask(mask, scene.grid)
         # Molecules are everywhere: nothing can be skipped.
         self._has_air = scene.air is not None and bool(np.any(scene.air.profile(scene.grid)))
         self._structs, self._inside_structs = (
@@ -96,7 +95,7 @@ class Medium:
         rows, self._radius = table_rows(scene, effective_radius)
         self._table_row = device.constant(rows)
         self._nothing_empty = device.constant(np.zeros(1, np.uint8))
-        self._empty_by_mask = None if mask is None or self._has_air else self._clear(mask)
+        self._empty_by_mask = None if self.mask is None or self._has_air else self._clear(self.mask)
         self.features = tuple(
             feature
             for feature, wanted in (

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.opencl.arrays import DeviceArray
-from cloudtomo_cl.opencl.layout import TABLE_UNIT, sun_view_struct
+from cloudtomo_cl.opencl.layout import MOST_SAMPLES, TABLE_UNIT, sun_view_struct
 from cloudtomo_cl.opencl.pace import Pace
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.transport.medium import FilledMedium
@@ -80,8 +81,19 @@ class Photons:
         -------
         What a unit of the sums of all ranks is of the radiance of a bin of 1 sr in a cell of 1 km^3, sr^-1, for a sun
         of irradiance 1
+
+        Raises
+        ------
+        DataError : there are not so many photons
         """
         samples = -(-photons // self._pixels)
+        entering = round(self._entering * samples * self._pixels)
+        if max(samples, entering) > MOST_SAMPLES:
+            raise DataError(
+                f"the radiance table would take {samples} photons for each column of the sun's view, and {entering} "
+                f"that enter the domain: there are at most {MOST_SAMPLES} of each; use fewer paths per pixel, or fewer "
+                "pixels"
+            )
         power = self._sun_power / (samples * self._pixels)  # of a photon of weight 1
         starts = medium.arguments | self._starts | {"seed": seed, "stream": stream}
         photon = starts | table | {"unit": self._unit, "table_sums": sums}
@@ -89,7 +101,6 @@ class Photons:
             photon["scene"] = medium.inside_struct
         for first, count in self._parts(samples, self._pixels):
             self._trace(starts, photon, first, count * self._pixels)
-        entering = round(self._entering * samples * self._pixels)
         for first, count in self._parts(entering, 1):
             self._trace(starts, photon, first, count, self._face_power / entering / power)
         return power / self._unit

@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from functools import partial
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from cloudtomo_cl.files.measurements import measurements_dataset
 from cloudtomo_cl.memory import require_countable, shape_text, voxels_of
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
-from cloudtomo_cl.opencl.fixed_point import summed
 from cloudtomo_cl.opencl.layout import MOST_SAMPLES, STRUCTS, ray_array, view_structs
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.opencl.pace import Pace
@@ -22,27 +22,21 @@ from cloudtomo_cl.parallel.ranks import Ranks, Shares
 from cloudtomo_cl.renamed import renamed_arguments, renamed_attributes
 from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.measurements import Measurements
-from cloudtomo_cl.scene.pixels import all_pixels
+from cloudtomo_cl.scene.pixels import all_pixels, checked_pixels
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.seeds import checked_seed
 from cloudtomo_cl.scene.sensors import View
 from cloudtomo_cl.transport.audit import Audit, Budget, check_replays
 from cloudtomo_cl.transport.blocks import pixel_blocks
+from cloudtomo_cl.transport.gradient import deposited
 from cloudtomo_cl.transport.in_parts import BYTES_OF_LIST, kept, on_device, pixels_at_once, render_in_parts
 from cloudtomo_cl.transport.medium import FilledMedium, Medium
 from cloudtomo_cl.transport.virtual_collisions import VirtualCollisions
 
 Estimator = Literal["side-flights", "plain"]
 
-# Units of the fixed-point gradient per sr^-1 km deposited under the largest adjoint: rounding is
-# far below the deposits that matter (about 1e-6), and a voxel's sum of them over all paths of a
-# gradient may reach 2^31 before it overflows.
-FIXED_POINT_SCALE = 2.0**32
-# Of adjoints: beyond, a voxel's sum, which has up to 2^31 of them, may be more than single precision holds.
-_LARGEST_ADJOINT = 1e28
-# What a work item does in a launch is bounded: watchdogs end launches that are too long, and some
-# drivers loops (Mesa's llvmpipe all loops of a work item after 65,535 rounds, and says nothing): paths
-# that a pixel sums up.
+# The longest sum that a work item makes in one launch. Watchdogs end launches that take too long, and Mesa's llvmpipe
+# ends loops after 65,535 rounds without an error.
 _LONGEST_SUM = 1 << 15
 # On the device: extinction and what skips empty blocks; sums; stored paths. On the host: what sums become.
 _BYTES_PER_VOXEL, _BYTES_PER_PIXEL, _BYTES_PER_PATH, _HOST_BYTES_PER_PIXEL = 8, 48, 4, 160
@@ -152,14 +146,15 @@ class RadianceOperator:
     truncation : cuts single local estimates to so many sr^-1. That removes rare bright points and
         makes the images too dark; `Rendering.audit.truncated` says by how much. By default nothing
 
-    mask : bool, shape of the grid, where there may be droplets. Elsewhere every extinction must be 0
+    mask : bool, or 0 and 1, shape of the grid, where there may be droplets. Elsewhere every extinction must be 0
         and gradients are 0, for walks skip what is empty; by default everywhere
 
     Source: the supplement's Eqs. 1-19; docs/explanation/radiance.md.
 
     Raises
     ------
-    DataError : no view, or an effective radius that does not fit
+    DataError : no view; pixels that are not there; an unknown estimator; an effective radius or a mask that does not
+        fit
     """
 
     def __repr__(self) -> str:
@@ -183,6 +178,11 @@ class RadianceOperator:
             raise DataError("no view: a scene needs at least one to be rendered")
         if truncation is not None and not truncation > 0:
             raise DataError(f"truncation is {truncation}: it must be above 0 sr^-1")
+        if estimator not in (None, *get_args(Estimator)):
+            allowed = " or ".join(f'"{name}"' for name in get_args(Estimator))
+            raise DataError(
+                f"estimator is {estimator!r}: it must be {allowed}, or None for the one that suits the cloud"
+            )
         self.scene = scene
         self.views = tuple(views)
         self.device = device or choose_device()
@@ -192,13 +192,13 @@ class RadianceOperator:
         self._medium = Medium(
             scene, self.device, effective_radius, self.estimator == "side-flights", truncation or np.inf, mask
         )
-        # Views from afar look through all of the atmosphere.
-        self.mask = mask
+        self.mask = self._medium.mask
         self.features = self._medium.features
         self.scene_struct = self._medium.struct
+        # Views from afar look through all of the atmosphere.
         self._views = self.device.constant(view_structs(self.views, scene.grid, scene.top))
         self._rays = self.device.constant(ray_array(self.views, scene))
-        self._take(all_pixels(self.views) if pixels is None else pixels)
+        self._take(all_pixels(self.views) if pixels is None else checked_pixels(self.views, pixels))
         self._render_paths = self.device.kernel("image", "render_paths", self._medium.features)
         self._sum_paths = self.device.kernel("image", "sum_paths", self._medium.features)
         self._virtual_collisions = VirtualCollisions(self.device, self._medium.features)
@@ -220,7 +220,8 @@ class RadianceOperator:
 
         Parameters
         ----------
-        extinction : of the droplets, km^-1, shape of the grid; NumPy, an array on the device, or a `field`
+        extinction : of the droplets, km^-1, shape of the grid; NumPy, an array on the device, or what
+            `on_device` has returned
         samples : paths per pixel, even
         seed, stream : together with view, pixel and sample these determine every path
         store_paths : keep what `gradient` needs (4 bytes per path on the device)
@@ -245,8 +246,9 @@ class RadianceOperator:
             raise DataError(f"first_sample is {first_sample}: it must be even and at least 0")
         if first_sample + samples > MOST_SAMPLES:
             raise DataError(f"{first_sample + samples} paths per pixel are more than the {MOST_SAMPLES} that there are")
-        medium = self.ranks.together(lambda: self._medium.filled(extinction, skips_empty=not store_paths))
-        budget = Budget(self.device)
+        medium, budget = self.ranks.together(
+            lambda: (self._medium.filled(extinction, skips_empty=not store_paths), Budget(self.device))
+        )
         sums, launches = self.ranks.together(
             lambda: self._walk(medium, samples, first_sample, (seed, stream), budget, store_paths, progress)
         )
@@ -300,9 +302,9 @@ class RadianceOperator:
         return self._medium.filled(extinction, skips_empty=True)
 
     def of_pixels(self, pixels: np.ndarray) -> RadianceOperator:
-        """The same operator for other pixels; see the class."""
+        """The same operator for other pixels; see the class. DataError if one is not there."""
         other = copy.copy(self)
-        other._take(pixels)
+        other._take(checked_pixels(self.views, pixels))
         return other
 
     def of_views(self, views: Sequence[View]) -> RadianceOperator:
@@ -399,26 +401,12 @@ class RadianceOperator:
             raise DataError(f"adjoint has shape {adjoint.shape}, not ({len(self.pixels)}, 2)")
         if filling_limit is not None and not 0 <= filling_limit < np.inf:
             raise DataError(f"filling_limit is {filling_limit}: it must be finite and at least 0 km^-1")
-        total = self.device.zeros(self.scene.grid.shape, np.int64)
-        largest = largest_adjoint(adjoint)
-        if largest > 0:
-            self.ranks.together(lambda: self._replay(rendering, adjoint / largest, filling_limit, total))
-            self.make_total(total)
-        scale = largest / FIXED_POINT_SCALE * self.scene.sun.irradiance / (rendering.samples // 2)
-        with self.device.lock:  # pyopencl's own kernels, too, are shared by threads
-            return total.astype(np.float32) * np.float32(scale)
-
-    def make_total(self, sums: DeviceArray) -> None:
-        """Makes a gradient's sums those of all ranks, on the device of each. TransportError if one has overflowed."""
-        total = summed(sums.get(), self.ranks, "the gradient", "voxel")
-        if self.ranks.size > 1:
-            sums.set(total)
+        return deposited(self, adjoint, rendering.samples, partial(self._replay, rendering, filling_limit))[0]
 
     def _replay(
-        self, rendering: Rendering, shares: np.ndarray, filling_limit: float | None, total: DeviceArray
+        self, rendering: Rendering, filling_limit: float | None, factors: DeviceArray, total: DeviceArray
     ) -> None:
-        """Adds what this rank's paths deposit; `shares` are the adjoint's of the largest, (pixels, 2)."""
-        factors = self.device.constant((self._shares.taken(shares) * FIXED_POINT_SCALE).astype(np.float32))
+        """Adds what this rank's paths deposit; see `deposited`."""
         virtual = self._virtual_collisions.extinction(self, rendering, filling_limit)
         for launch in self.stored_launches(rendering):
             self._virtual_collisions.run(launch, adjoint=factors, virtual_extinction=virtual, gradient=total)
@@ -452,19 +440,6 @@ class RadianceOperator:
         return [image.reshape(view.pixels[1], view.pixels[0]) for image, view in zip(images, self.views)]
 
 
-def largest_adjoint(adjoint: np.ndarray) -> float:
-    """The largest absolute value. DataError if a gradient in single precision could not hold what it makes of them."""
-    largest = float(np.abs(adjoint).max(initial=0.0))
-    if not np.isfinite(largest):
-        raise DataError("adjoint is not finite")
-    if largest > _LARGEST_ADJOINT:
-        raise DataError(
-            f"adjoint has {largest:.3g} as its largest value: it must be at most {_LARGEST_ADJOINT:g}, for gradients "
-            "are in single precision: scale the cost"
-        )
-    return largest
-
-
 def footprint(voxels: int, pixels: int, stored_paths: int = 0) -> Footprint:
     """What a `RadianceOperator` takes to render a grid: counted over arrays that live at the same time, rounded up."""
     device = _BYTES_PER_VOXEL * voxels + _BYTES_PER_PIXEL * pixels
@@ -484,7 +459,7 @@ def _require_memory(device: Device, shape: tuple[int, ...], pixels: int) -> None
 
 
 def pooled(first: Rendering, second: Rendering) -> Rendering:
-    """Two renderings of the same pixels with different paths."""
+    """Two renderings of the same pixels with different paths. It has no stored paths: there are no gradients of it."""
     share = first.samples / (first.samples + second.samples)
     return replace(
         first,
@@ -492,6 +467,7 @@ def pooled(first: Rendering, second: Rendering) -> Rendering:
         halves=share * first.halves + (1 - share) * second.halves,
         standard_error=np.hypot(share * first.standard_error, (1 - share) * second.standard_error),
         samples=first.samples + second.samples,
+        _launches=None,
     )
 
 

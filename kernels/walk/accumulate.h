@@ -8,7 +8,7 @@
  * A sum that leaves +-LARGEST_SUM (2^62, half of what 64 bits hold), and one to which something
  * beyond half of that is added, or no number, becomes OVERFLOWN. Whoever adds to that finds it
  * outside of the range as well and puts it back, so it stays there for the host to see
- * (cloudtomo_cl/fixed_point.py), even if several add at the same time.
+ * (cloudtomo_cl/opencl/fixed_point.py), even if several add at the same time.
  */
 #ifndef CLOUDTOMO_ACCUMULATE_H
 #define CLOUDTOMO_ACCUMULATE_H

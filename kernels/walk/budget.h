@@ -1,7 +1,7 @@
 /* The energy budget: where the weight of paths ends.
  *
  * Every path starts with a weight of 1, and every bit of it ends in one of the terminations (the enum
- * Termination, in cloudtomo_cl/layout.py): the audit compares their sum with the number of paths. */
+ * Termination, in cloudtomo_cl/opencl/layout.py): the audit compares their sum with the number of paths. */
 #ifndef CLOUDTOMO_BUDGET_H
 #define CLOUDTOMO_BUDGET_H
 

@@ -78,7 +78,6 @@ inline bool fly_outside(const Medium *medium, Ray *ray, float optical_depth, flo
 #define TRAVERSAL fly
 #define TRAVERSAL_CONTEXT
 #define CROSSES(index, length)
-#define SKIPS()
 #include "walk/traversal.h"
 
 #endif

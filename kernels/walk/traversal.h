@@ -5,7 +5,8 @@
  *   TRAVERSAL_CONTEXT    its last parameters, each after a comma; may be empty. What is done sees them, and the
  *                        function's own variables: their names must differ
  *   CROSSES(index, length)   done when it crosses `length` km of the voxel `index`, up to a collision
- *   SKIPS()              done when it skips a row of empty blocks
+ *
+ * Through a cube of empty blocks it goes in one step (walk_skip), which crosses nothing.
  *
  * The function flies along the ray until it has crossed the optical depth `optical_depth` (a collision) or left all
  * that scatters; it moves the ray there.
@@ -32,7 +33,6 @@ LARGE_FUNCTION Flight TRAVERSAL(const Medium *medium, Ray *ray, float optical_de
         bool goes_on;
         const int empty = beside_empty ? medium->empty[empty_block(scene, &walk)] : 0;
         if (empty > (scene->empty_shift == 0)) {
-            SKIPS();
             goes_on = walk_skip(scene, &walk, empty);
         } else {
             const float exit = walk_exit(&walk);
@@ -73,4 +73,3 @@ LARGE_FUNCTION Flight TRAVERSAL(const Medium *medium, Ray *ray, float optical_de
 #undef TRAVERSAL
 #undef TRAVERSAL_CONTEXT
 #undef CROSSES
-#undef SKIPS

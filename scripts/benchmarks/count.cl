@@ -14,8 +14,10 @@ typedef struct {
 #define TRAVERSAL fly_and_count
 #define TRAVERSAL_CONTEXT , __global ushort *crossings
 #define CROSSES(index, length) ++*crossings
-#define SKIPS() ++*crossings
+/* A step over a cube of empty blocks counts as a crossing, too. */
+#define walk_skip(scene, walk, empty) (++*crossings, walk_skip(scene, walk, empty))
 #include "walk/traversal.h"
+#undef walk_skip
 
 inline void count_flight(const Medium *medium, Ray ray, float optical_depth, const Tally *tally)
 {

@@ -80,7 +80,7 @@ def test_paths_that_bring_something_else_when_walked_again_are_caught(device, wa
 
 
 def test_a_gradient_that_overflows_is_an_error(device, monkeypatch):
-    monkeypatch.setattr("cloudtomo_cl.transport.radiance.FIXED_POINT_SCALE", 2.0**68)
+    monkeypatch.setattr("cloudtomo_cl.transport.gradient.FIXED_POINT_SCALE", 2.0**68)
     scene = SCENES["forward peak"]
     operator = RadianceOperator(scene, [ABOVE], device)
     rendering = operator.render(extinction_of(scene), 100, store_paths=True)

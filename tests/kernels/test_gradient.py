@@ -20,7 +20,7 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import Air, Scene, Sun, Surface
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView
-from cloudtomo_cl.transport.radiance import RadianceOperator
+from cloudtomo_cl.transport.radiance import RadianceOperator, pooled
 
 SEED, ITERATION, SAMPLES = 8, 2, 8
 
@@ -167,3 +167,14 @@ def test_gradients_are_in_proportion_to_adjoints_however_small(device):
     for wrong in (1e30, 1e300, np.inf, np.nan):
         with pytest.raises(DataError, match="adjoint"):
             operator.gradient(rendering, wrong * adjoint)
+
+
+def test_two_renderings_as_one_have_no_gradient(device):
+    """Their paths would be those of the first, half of them all."""
+    scene = SCENES["forward peak"]
+    operator = RadianceOperator(scene, [ABOVE], device)
+    first, second = (
+        operator.render(extinction_of(scene), 8, store_paths=True, first_sample=sample) for sample in (0, 8)
+    )
+    with pytest.raises(DataError, match="kept no paths"):
+        operator.gradient(pooled(first, second), np.ones((9, 2)))

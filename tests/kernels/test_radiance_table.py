@@ -4,6 +4,8 @@ What photons bring is unbiased. The table has cells of a voxel and about 0.17 sr
 what is tested is that it is small, and that nothing else is wrong.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pyopencl.array
 import pytest
@@ -140,6 +142,15 @@ def test_cells_without_memory_are_refused_before_they_are_made(device, monkeypat
     RadianceTable(operator)
     with pytest.raises(DataError, match=f"{table.cells} voxels and parts of such needs about"):
         table.prepare(rendering)
+
+
+def test_more_photons_than_there_are_numbers_are_refused(device):
+    """Before any is walked; those that enter are numbered one by one."""
+    operator = RadianceOperator(SCENES["oblique, absorbing, ground"], VIEWS, device, mask=np.ones(GRID.shape, bool))
+    rendering = operator.render(extinction(), 2, store_paths=True)
+    table = RadianceTable(operator)
+    with pytest.raises(DataError, match=r"and 8\d{9} that enter the domain: .* use fewer paths per pixel"):
+        table.prepare(replace(rendering, samples=2**27))
 
 
 def test_neighbours_are_the_pixels_that_touch():

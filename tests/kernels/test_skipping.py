@@ -110,7 +110,7 @@ def test_gradients_inside_a_mask_are_the_same(device, sparse):
 
 
 def test_extinction_outside_of_the_mask_is_refused(device, sparse):
-    operator = RadianceOperator(Scene(GRID, Sun(zenith=0)), [ABOVE], device, mask=np.zeros(GRID.shape, bool))
+    operator = RadianceOperator(Scene(GRID, Sun(zenith=0)), [ABOVE], device, mask=sparse == 0)
     with pytest.raises(DataError, match="outside of the mask"):
         operator.render(sparse, 2)
 

@@ -23,7 +23,6 @@ typedef struct {
 #define TRAVERSAL fly_and_measure
 #define TRAVERSAL_CONTEXT , float *crossed
 #define CROSSES(index, length) *crossed += (length) * medium->extinction[index]
-#define SKIPS()
 #include "walk/traversal.h"
 
 /* Droplets' optical depth on a flight that is flown again, and as it should be without air. */

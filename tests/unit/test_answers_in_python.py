@@ -2,6 +2,7 @@
 
 import pickle
 
+import numpy as np
 import pytest
 
 import cloudtomo_cl as ct
@@ -57,3 +58,79 @@ def test_every_error_of_the_package_is_public():
 
     kinds = [name for name, kind in vars(errors).items() if isinstance(kind, type) and issubclass(kind, Exception)]
     assert set(kinds) <= set(ct.__all__)
+
+
+GRID = ct.Grid((3, 4, 5), (0.1, 0.1, 0.1))
+SCENE = ct.Scene(GRID, ct.Sun(30.0))
+VIEW = ct.OrthographicView(width=0.6, zenith=0.0, pixels=(4, 4))
+CLOUD = np.full(GRID.shape, 5.0)
+
+
+@pytest.mark.parametrize("estimator", ["side_flights", "Plain", ""])
+def test_an_unknown_estimator_is_refused(device, estimator):
+    with pytest.raises(ct.DataError, match=f'estimator is \'{estimator}\': it must be "side-flights" or "plain"'):
+        ct.RadianceOperator(SCENE, [VIEW], device, estimator=estimator)
+
+
+@pytest.fixture(scope="module")
+def fluxes(device):
+    return ct.FluxOperator(SCENE, device)
+
+
+@pytest.mark.parametrize("photons", [1e3, np.float32(1000), np.int16(1000), np.array(1000)])
+def test_a_whole_number_of_photons_may_be_of_any_type(fluxes, photons):
+    expected = fluxes.compute(CLOUD, 1000, seed=1).reflected.value
+    np.testing.assert_array_equal(fluxes.compute(CLOUD, photons, seed=1).reflected.value, expected)
+
+
+@pytest.mark.parametrize("photons", [0, -1, 999.5, float("nan"), float("inf"), "1000", None, [1000, 2000]])
+def test_what_is_no_number_of_photons_is_refused(fluxes, photons):
+    with pytest.raises(ct.DataError, match="photons is .*: it must be a whole number of at least 1"):
+        fluxes.compute(CLOUD, photons)
+
+
+class Empty:
+    """A prior, or a solver, of length 0: Python takes it for false."""
+
+    def __len__(self):
+        return 0
+
+    def value_and_gradient(self, extinction, voxels):
+        return 0.0, np.zeros_like(extinction)
+
+    def init(self, problem, extinction):
+        raise ct.DataError("the own solver")
+
+    def step(self, problem, state, *, seed, stream):
+        raise NotImplementedError
+
+
+@pytest.fixture(scope="module")
+def measurements(device):
+    operator = ct.RadianceOperator(SCENE, [VIEW], device)
+    return ct.Measurements.rendered(operator, operator.render(CLOUD, 4))
+
+
+def test_a_prior_of_length_0_is_a_prior(measurements, device):
+    problem = ct.Problem.of(SCENE, measurements, mask=CLOUD > 0, prior=Empty(), device=device)
+    assert problem.prior.value_and_gradient(CLOUD.reshape(-1), problem.units())[0] == 0
+
+
+def test_a_solver_of_length_0_is_a_solver(measurements, device):
+    with pytest.raises(ct.DataError, match="the own solver"):
+        ct.reconstruct(SCENE, measurements, mask=CLOUD > 0, prior=Empty(), solver=Empty(), device=device)
+
+
+@pytest.mark.parametrize("of_problem, asked", [(None, 0), (0, None)], ids=["asked for", "the problem's"])
+@pytest.mark.parametrize("method", ["linearise", "value_and_gradient"])
+def test_no_paths_are_not_those_by_default(measurements, device, method, of_problem, asked):
+    problem = ct.Problem.of(SCENE, measurements, mask=CLOUD > 0, prior=ct.Prior(), device=device, samples=of_problem)
+    with pytest.raises(ct.DataError, match="samples is 0: it must be even and at least 2"):
+        getattr(problem, method)(CLOUD.reshape(-1), samples=asked)
+
+
+@pytest.mark.parametrize("solver", [ct.GaussNewton(), ct.Adam()], ids=["Gauss-Newton", "Adam"])
+def test_solvers_take_no_paths_for_none(measurements, device, solver):
+    problem = ct.Problem.of(SCENE, measurements, mask=CLOUD > 0, prior=ct.Prior(), device=device, samples=0)
+    with pytest.raises(ct.DataError, match="samples is 0: it must be even and at least 2"):
+        solver.step(problem, solver.init(problem, CLOUD.reshape(-1)), seed=0, stream=1)

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,10 +10,15 @@ import xarray as xr
 
 import cloudtomo_cl as ct
 from cloudtomo_cl import memory
+from cloudtomo_cl.commands.reconstruction import _say_if_memory_is_tight
 from cloudtomo_cl.errors import DataError, DeviceError
 from cloudtomo_cl.files.extinction import read_extinction
+from cloudtomo_cl.inversion.footprint import stage_footprint
 from cloudtomo_cl.inversion.reconstruct import check_memory
+from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.parallel.ranks import ALONE
+from cloudtomo_cl.transport.cells import most_cells
+from cloudtomo_cl.transport.derivatives import table_footprint
 from cloudtomo_cl.transport.radiance import footprint
 
 GRID = ct.Grid(shape=(4, 4, 4), spacing=(0.1, 0.1, 0.1))
@@ -51,6 +57,13 @@ def test_the_largest_piece_counts_too():
         footprint(64, 100_000).require(SmallDevice(1e9, 1e6), "rendering", "choose fewer pixels")
 
 
+def test_a_device_that_is_too_small_in_all_is_not_told_of_a_piece():
+    """The largest buffer may be all there is."""
+    size = 27e9
+    with pytest.raises(DeviceError, match="rendering needs about 27 GB of memory, device small has 1 GB: buy"):
+        Footprint(size, size).require(SmallDevice(1e9, 1e9), "rendering", "buy")
+
+
 def test_a_cpu_has_the_machines_memory_whatever_its_driver_says():
     small = SmallDevice(1e6, 1e9)
     small.shares_memory = small.is_cpu = True
@@ -63,6 +76,59 @@ def test_a_late_stage_too_large_is_told_at_the_start():
     stages = (ct.Stage(grid=(2, 2, 2)), ct.Stage(grid=(200, 200, 200)))
     with pytest.raises(DeviceError, match="a reconstruction with 200 x 200 x 200 voxels and 9 pixels needs about"):
         check_memory(SCENE, measurements, stages, SmallDevice(1e8, 1e8))
+
+
+@pytest.fixture
+def of_a_run():
+    """What `check_memory` is given, and how much a recovery with a cell a voxel needs of the machine."""
+    image = np.ones((3, 3))
+    measurements = ct.Measurements((view(3, 3),), (image,), (image,))
+    stage, mask, device = ct.Stage(grid=(40, 40, 40)), np.ones(GRID.shape, bool), SmallDevice(1e12, 1e12)
+    device.shares_memory = True
+
+    def given(solver):
+        needed = stage_footprint(SCENE, measurements, stage, solver, mask)
+        return (SCENE, measurements, (stage,), device, solver, mask), needed.device + needed.host
+
+    return given
+
+
+SOLVERS = pytest.mark.parametrize("solver", [ct.GaussNewton(), ct.Adam()], ids=["Gauss-Newton", "Adam"])
+
+
+@SOLVERS
+def test_a_run_that_a_deep_cloud_may_end_begins_with_a_warning(of_a_run, monkeypatch, solver):
+    given, needed = of_a_run(solver)
+    monkeypatch.setattr(memory, "free_memory", lambda: 1.01 * needed)
+    assert "voxels and 9 pixels, of a very deep cloud, needs about" in check_memory(*given)
+    table = table_footprint(most_cells(40**3)).device
+    monkeypatch.setattr(memory, "free_memory", lambda: needed + table)
+    assert check_memory(*given) == ""
+
+
+def test_a_command_says_so(of_a_run, monkeypatch):
+    (scene, measurements, stages, device, solver, mask), needed = of_a_run(ct.GaussNewton())
+    monkeypatch.setattr(memory, "free_memory", lambda: 1.01 * needed)
+    settings, told = SimpleNamespace(stage=stages, solver=solver), []
+    job = SimpleNamespace(scene=scene, measurements=measurements, settings=settings, device=device, say=told.append)
+    _say_if_memory_is_tight(job, mask)
+    assert len(told) == 1 and "ends with an error if the cloud turns out so deep" in told[0]
+
+
+def test_so_does_a_recovery_in_python(device, monkeypatch):
+    operator = ct.RadianceOperator(SCENE, [view(3, 3)], device)
+    images = ct.Measurements.rendered(operator, operator.render(np.full(GRID.shape, 5.0), 4))
+    stage, mask = ct.Stage(grid=GRID.shape, iterations=1, samples=4), np.ones(GRID.shape, bool)
+    needed = stage_footprint(SCENE, images, stage, ct.GaussNewton(), mask)
+    monkeypatch.setattr(memory, "free_memory", lambda: 1.01 * (needed.device + needed.host + needed.stored))
+    with pytest.warns(RuntimeWarning, match="a reconstruction with 4 x 4 x 4 voxels .* of a very deep cloud, needs"):
+        ct.reconstruct(SCENE, images, [stage], ct.Prior(), mask=mask, device=device, uncertainty=0)
+
+
+def test_by_replay_no_cloud_is_too_deep(of_a_run, monkeypatch):
+    given, needed = of_a_run(ct.Adam(gradient="replay"))
+    monkeypatch.setattr(memory, "free_memory", lambda: 1.01 * needed)
+    assert check_memory(*given) == ""
 
 
 def test_a_machine_with_little_left_refuses(monkeypatch, device):

@@ -103,6 +103,25 @@ def test_what_fails_is_recorded_no_further(device, vectors):
     np.testing.assert_array_equal(result.get(), 1)
 
 
+def test_what_has_failed_in_part_is_done_whole_the_next_time(device, vectors):
+    """Not the part that was recorded."""
+    one, result, fails = vectors.of(np.ones(COUNT)), vectors.zeros(), [True]
+
+    def work():
+        vectors.add(1.0, one, result)
+        if fails.pop():
+            raise ValueError("the first time")
+        vectors.add(10.0, one, result)
+
+    with device.repeated(work) as again:
+        with pytest.raises(ValueError, match="the first time"):
+            again()
+        fails.append(False)
+        again()
+        again()
+    np.testing.assert_array_equal(result.get(), 1 + 11 + 11)
+
+
 class Diagonal:
     """1/2 x^T D x - b^T x by launches alone."""
 

@@ -20,7 +20,7 @@ from cloudtomo_cl.opencl.device import Device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import Count
 from cloudtomo_cl.scene.scene import NotNegative, Positive
-from cloudtomo_cl.transport.derivatives import RadianceTable, table_footprint
+from cloudtomo_cl.transport.derivatives import RadianceTable, table_footprint, table_growth
 from cloudtomo_cl.transport.radiance import Rendering
 
 PATHS_PER_ITERATION = 60_000
@@ -99,6 +99,10 @@ class _Descent:
         own = Footprint(20 * voxels, 4 * voxels, 24 * voxels)
         return own + table_footprint(voxels) if self.gradient == "adjoint" else own
 
+    def deep_growth(self, voxels: int) -> Footprint:
+        """What it takes beyond its footprint, at most, if the voxels are deep."""
+        return table_growth(voxels) if self.gradient == "adjoint" else Footprint()
+
     def init(self, problem: Problem, extinction: np.ndarray) -> DescentState:
         """Before the first iteration; see `Solver`."""
         start = np.maximum(np.asarray(extinction, np.float32), np.float32(self.floor))
@@ -115,7 +119,9 @@ class _Descent:
         ------
         TransportError : the gradient is not finite
         """
-        samples = problem.samples or max(2, 2 * round(PATHS_PER_ITERATION / len(problem.active) / 2))
+        samples = problem.samples
+        if samples is None:
+            samples = max(2, 2 * round(PATHS_PER_ITERATION / len(problem.active) / 2))
         values = problem.on_grid(state.extinction)
         rendering = problem.operator.render(values, samples, seed, stream, store_paths=True)
         window = self.image_average_window

@@ -32,7 +32,7 @@ from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import Count, Grid
 from cloudtomo_cl.scene.scene import NotNegative, Positive
-from cloudtomo_cl.transport.derivatives import table_footprint
+from cloudtomo_cl.transport.derivatives import table_footprint, table_growth
 from cloudtomo_cl.transport.jacobian import Jacobian, jacobian_footprint
 from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 from cloudtomo_cl.transport.radiance import Rendering, pooled
@@ -138,6 +138,10 @@ class GaussNewton:
         derivatives = jacobian_footprint(pixels, voxels, longest, entries)
         return table_footprint(voxels) + derivatives + stencil_footprint(voxels)
 
+    def deep_growth(self, voxels: int) -> Footprint:
+        """What it takes beyond its footprint, at most, if the voxels are deep."""
+        return table_growth(voxels)
+
     def init(self, problem: Problem, extinction: np.ndarray) -> GaussNewtonState:
         """Before the first iteration; see `Solver`."""
         start = np.array(extinction, float)
@@ -179,8 +183,9 @@ class GaussNewton:
 
     def _sampled(self, problem: Problem) -> Problem:
         """The problem, that says how many paths a pixel derivatives are made of."""
-        samples = problem.samples or max(2, 2 * round(self.paths * problem.default_samples / 2))
-        return replace(problem, samples=samples)
+        if problem.samples is not None:
+            return problem
+        return replace(problem, samples=max(2, 2 * round(self.paths * problem.default_samples / 2)))
 
     def _times_more(self, problem: Problem, state: GaussNewtonState, first: Rendering) -> int:
         """How many times as many paths as derivatives are made of the images have beside them.
@@ -300,7 +305,7 @@ def _averaged_in(
 
     iteration : counted from 0
     """
-    samples = problem.samples or problem.default_samples
+    samples = problem.default_samples if problem.samples is None else problem.samples
     rendering = problem.operator.render(problem.on_grid(extinction), samples, seed, stream, store_paths=True)
     derivatives.add(rendering, tail_rate(iteration))
     return rendering
