@@ -18,8 +18,9 @@ _SHARES = (0.03, 0.06, 0.12, 0.24, 0.48, 1.0, 1.0)
 _FLOOR = 0.1
 # Of the iterations of a minimisation, the share of one of these.
 _EACH = 0.5
-# How often a step is minimised again because the cloud's mean extinction has changed, by more than this share.
-_RESCALINGS, _SETTLED_SCALE = 4, 0.1
+# How often a step is minimised again because the cloud's mean extinction has changed, by more than this share; not once
+# it has fallen below that share of the step's start, where the linear model is no guide any more.
+_RESCALINGS, _SETTLED_SCALE, _LEAST_SCALE = 4, 0.1, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +84,16 @@ def annealed(inner: InnerProblem, start: np.ndarray) -> np.ndarray:
 def rescaled(inner: InnerProblem, start: np.ndarray) -> np.ndarray:
     """From the last minimum, and again whenever the cloud's mean extinction, by which the prior is scaled, has changed.
 
+    A cloud that gets thinner makes the prior stronger, by which it gets thinner still: from a start that is too deep,
+    where the linear model of images says that there is no cloud, this would go on until there is none.
+
     start : km^-1, shape (voxels,)
     """
-    scale, extinction = mean_extinction(start), inner.least(start)
+    first, extinction = mean_extinction(start), inner.least(start)
+    scale = first
     for _ in range(_RESCALINGS):
         before, scale = scale, mean_extinction(extinction)
-        if abs(scale - before) <= _SETTLED_SCALE * before:
+        if abs(scale - before) <= _SETTLED_SCALE * before or scale < _LEAST_SCALE * first:
             break
         extinction = inner.least(extinction)
     return extinction

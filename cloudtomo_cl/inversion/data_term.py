@@ -111,11 +111,10 @@ class DataTerm:
         """See `Term`."""
         return self._jacobian.voxel_shares
 
-    @property
-    def gradient_at_start(self) -> np.ndarray:
-        """Its gradient at the start, shape (voxels,), float64."""
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        """At x, shape (voxels,): float64, on the host."""
         gradient = self._vectors.zeros()
-        self.add_gradient(self._start, gradient)
+        self.add_gradient(self._vectors.of(x), gradient)
         Gathering(self._residual_weights.device, self.shares).complete(gradient)
         return gradient.get().astype(float)
 

@@ -93,7 +93,7 @@ def active_pixels(measurements: Measurements, grid: Grid, mask: np.ndarray) -> A
 
     Raises
     ------
-    DataError : there are none
+    DataError : there are none, or there is no light in them
     """
     pixels, radiance, errors, motions = [], [], [], []
     motion_errors = measurements.motion_errors(grid)
@@ -108,6 +108,8 @@ def active_pixels(measurements: Measurements, grid: Grid, mask: np.ndarray) -> A
             motions.append(np.zeros((len(chosen), MOTIONS)))
     if not any(map(len, radiance)):
         raise DataError("no valid pixel of any view looks at the mask: check the views' positions and targets")
+    if not any((values > 0).any() for values in radiance):
+        raise DataError("no pixel that looks at the mask has a radiance above 0: there is no light to see a cloud by")
     return ActivePixels(
         measurements.views,
         np.concatenate(pixels).astype(np.uint32),

@@ -25,6 +25,8 @@ from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import NotNegative, Positive
 
+# The least mean extinction that a cloud is measured by: so deep along a mean chord of a voxel. No image shows it.
+_LEAST_DEPTH = 1e-3
 # Diagonal of A^T A away from the edges: 1 + 26 / 26^2.
 SMOOTHNESS_CURVATURE = 27 / 26
 
@@ -139,13 +141,14 @@ def stage_prior(prior: AnyPrior | Regulariser, voxels: Voxels, device: Device) -
     ------
     DataError : it is neither a `PatchPrior`, nor a `Prior`, nor has `value_and_gradient`; it has no such file
     """
+    least = _LEAST_DEPTH / voxels.grid.mean_chord
     if isinstance(prior, PatchPrior):
         mixture = read_mixtures(prior.file or SHIPPED).of_spacing(voxels.grid.spacing)
         operator = PatchOperator(Patches(voxels, mixture.size), mixture, device)
-        return RelativePrior(StagePatches(operator, prior.strength, prior.noise), 1.0)
+        return RelativePrior(StagePatches(operator, prior.strength, prior.noise), 1.0, least)
     if isinstance(prior, Prior):
         absolute = StageSmoothness(prior, voxels, device)
-        return RelativePrior(absolute, prior.reference) if prior.reference else absolute
+        return RelativePrior(absolute, prior.reference, least) if prior.reference else absolute
     if not isinstance(prior, Regulariser):
         raise DataError(
             f"prior is a {type(prior).__name__}: give a PatchPrior, a Prior, or an object with "

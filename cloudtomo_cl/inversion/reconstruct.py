@@ -35,6 +35,7 @@ from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.inversion.solvers.protocol import Solver
 from cloudtomo_cl.inversion.solvers.state import restored
 from cloudtomo_cl.inversion.stages import Stage, stages_of
+from cloudtomo_cl.inversion.start import uniform_start
 from cloudtomo_cl.inversion.uncertainty import DRAWS
 from cloudtomo_cl.memory import shape_text
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
@@ -48,8 +49,8 @@ from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.seeds import checked_seed
 
 _LOGGER = logging.getLogger(__name__)
-# Where a solver does not say: optical depth of what a recovery starts from, along a mean chord of the mask's box.
-_START_DEPTH = 1.0
+# Optical depth along a mean chord of the domain that a start given by the user has at least.
+_LEAST_START = 1e-3
 # What to do where memory is short.
 _FEWER = "choose a coarser [grid] or [[stage]], or fewer samples or pixels"
 
@@ -184,13 +185,15 @@ def _iterated(
     seed: int,
 ) -> tuple[Problem, Any]:
     """All stages, from where the run stands; returns the last problem, and the state that it ended with."""
-    estimate = np.full(run.stages[0].grid, _start(solver, question.scene.grid, question.mask))
-    motions = None
+    estimate, motions = None, None
     while True:
         stage = run.stages[run.stage]
         _LOGGER.info("stage %d of %d: building its kernels", run.stage + 1, len(run.stages))
         problem = replace(question.device.ranks.together(partial(question.at, stage)), motions=motions)
         _LOGGER.info("stage %d of %d: its first iteration", run.stage + 1, len(run.stages))
+        if estimate is None:
+            start = _start(solver, problem, question, seed) if resumed is None else 0.0
+            estimate = np.full(stage.grid, start)
         state = solver.init(problem, resample_in_mask(estimate, problem.mask)[problem.mask])
         if resumed is not None:
             state, resumed = restored(state, resumed.solver_state), None
@@ -210,14 +213,10 @@ def _iterated(
         run.stage, run.iteration = run.stage + 1, 0
 
 
-def _start(solver: Any, grid: Grid, mask: np.ndarray) -> float:
-    """The extinction inside the mask before the first stage, km^-1: the solver's, or by the size of the mask."""
+def _start(solver: Any, problem: Problem, question: _Question, seed: int) -> float:
+    """The extinction inside the mask before the first stage, km^-1: the solver's, or as the images say."""
     given = getattr(solver, "start", None)
-    if given is not None:
-        return float(given)
-    voxels = np.argwhere(mask)
-    edges = (voxels.max(axis=0) - voxels.min(axis=0) + 1) * grid.spacing
-    return float(_START_DEPTH / mean_chord(edges))
+    return uniform_start(problem, question.mask, question.scene.grid, seed) if given is None else float(given)
 
 
 def _is_over(run: Run, rules: Sequence[StoppingRule]) -> bool:
@@ -298,7 +297,16 @@ def _by_default(prior: AnyPrior | Regulariser | None, solver: Solver | None) -> 
 
 
 def _check_start(grid: Grid, stages: Sequence[Stage], solver: Any) -> None:
-    """DataError if the first render would be of something that light never leaves."""
+    """DataError if the first render would be of something that light never leaves, or of next to nothing.
+
+    From that no step comes away: its images say nothing, and a prior that is measured by it forbids everything else.
+    """
+    start, chord = getattr(solver, "start", None), mean_chord(grid.extent)
+    if start is not None and start * chord < _LEAST_START:
+        raise DataError(
+            f"solver.start is {start:g} km^-1, an optical depth of {start * chord:.3g} across the domain: it must be "
+            f"at least {_LEAST_START / chord:.3g} km^-1; without it recoveries begin with what the images say"
+        )
     edge = max(max(grid.with_shape(stage.grid).spacing) for stage in stages)
     for name in ("start", "floor"):
         value = getattr(solver, name, None) or 0.0

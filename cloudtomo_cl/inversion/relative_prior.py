@@ -32,18 +32,19 @@ class RelativePrior:
     ----------
     inner : W
     reference : km^-1, the mean extinction s that W's numbers are said for
+    least : km^-1, of which s is taken where the cloud has less: beside next to nothing every cloud would be a peak
     """
 
     inner: StagePrior
     reference: float
+    least: float
 
     def value_and_gradient(self, extinction: np.ndarray, units: NoiseUnits) -> tuple[float, np.ndarray]:
         factor = self._factor(extinction)
         value, slope = self.inner.value_and_gradient(extinction / factor, units)
-        total = float(np.sum(extinction))
-        if not total > 0:
+        total, mean = float(np.sum(extinction)), mean_extinction(extinction)
+        if not mean > self.least:  # the scale is another's
             return value, slope / factor
-        mean = mean_extinction(extinction)
         along = float(slope @ extinction) / factor / mean
         return value, slope / factor - along * (2 * extinction - mean) / total
 
@@ -64,7 +65,7 @@ class RelativePrior:
         return getattr(self.inner, "corrects_mass", False)
 
     def _factor(self, extinction: np.ndarray) -> float:
-        return mean_extinction(extinction) / self.reference or 1.0
+        return max(mean_extinction(extinction), self.least) / self.reference
 
 
 @dataclass(frozen=True, eq=False)

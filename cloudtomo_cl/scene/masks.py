@@ -28,7 +28,10 @@ def checked_mask(mask: Any, grid: Grid) -> np.ndarray:
     if mask.dtype.kind != "b":
         mask = _of_numbers(mask)
     if not mask.any():
-        raise DataError("the mask is empty: no voxel may hold cloud; are images, views and surface right?")
+        raise DataError(
+            "the mask is empty: no voxel may hold cloud. If images, views and surface are right, the sky is clear: "
+            "there is nothing to recover"
+        )
     return mask
 
 

@@ -16,6 +16,7 @@ from cloudtomo_cl.inversion.stage_prior import NoiseUnits
 from cloudtomo_cl.inversion.vectors import Vectors
 
 SIZE = (3, 3, 3)
+LEAST = 1e-3  # km^-1
 UNITS = NoiseUnits(0.5, 0.8, 0.7)
 STRENGTH, NOISE = 1.3, 0.05
 
@@ -94,16 +95,28 @@ def difference_quotient(function, x, direction, step):
 
 @pytest.mark.parametrize("of", ["function", "step"])
 def test_the_gradient_is_that_of_the_value(voxels, bound, cloud, random, of):
-    prior = RelativePrior(bound, 1.0)
+    prior = RelativePrior(bound, 1.0, LEAST)
     used = prior if of == "function" else prior.frozen(cloud)
     direction = random.random(len(voxels))
     quotient = difference_quotient(lambda x: used.value_and_gradient(x, UNITS), cloud, direction, 1e-2)
     assert used.value_and_gradient(cloud, UNITS)[1] @ direction == pytest.approx(quotient, rel=2e-3)
 
 
+def test_a_cloud_of_next_to_nothing_is_measured_by_more_than_it_has(voxels, bound, cloud):
+    """Else all else would be a peak, and the prior a wall that no later step comes over."""
+    prior, nothing = RelativePrior(bound, 1.0, LEAST), 1e-9 * cloud
+    value, gradient = prior.value_and_gradient(nothing, UNITS)
+    assert value == pytest.approx(bound.value_and_gradient(nothing / LEAST, UNITS)[0])
+    np.testing.assert_allclose(gradient, bound.value_and_gradient(nothing / LEAST, UNITS)[1] / LEAST)
+    np.testing.assert_allclose(
+        prior.frozen(nothing).value_and_gradient(nothing, UNITS)[1],
+        bound.frozen(nothing / LEAST).value_and_gradient(nothing / LEAST, UNITS)[1] / LEAST,
+    )
+
+
 def test_a_step_begins_at_a_share_of_the_functions_value_when_the_noise_has_fallen(bound, cloud):
     """No patch of this cloud is clear."""
-    prior = RelativePrior(bound, 1.0)
+    prior = RelativePrior(bound, 1.0, LEAST)
     share = voxels_of_cloud(cloud) / (voxels_of_cloud(cloud) + 200)
     assert prior.frozen(cloud).value_and_gradient(cloud, UNITS)[0] == pytest.approx(
         share * prior.value_and_gradient(cloud, UNITS)[0]
@@ -126,16 +139,16 @@ def test_a_cloud_of_equal_voxels_has_as_many():
     assert voxels_of_cloud(np.zeros(4)) == 0
 
 
-def test_the_steps_stiffness_is_the_second_derivative_of_its_value(voxels, bound, cloud, random):
-    step = RelativePrior(bound, 1.0).frozen(cloud)
+def test_the_steps_hessian_is_the_second_derivative_of_its_value(voxels, bound, cloud, random):
+    step = RelativePrior(bound, 1.0, LEAST).frozen(cloud)
     direction = random.random(len(voxels))
     change = step.value_and_gradient(cloud + direction, UNITS)[1] - step.value_and_gradient(cloud, UNITS)[1]
     np.testing.assert_allclose(step.hessian_times(direction[:, None], UNITS)[:, 0], change, rtol=1e-3, atol=1e-5)
 
 
-def test_perturbations_have_the_stiffness_as_covariance(voxels, bound, cloud):
+def test_perturbations_have_the_hessian_as_covariance(voxels, bound, cloud):
     """Along one direction, of 2000 draws: the ratio of variances has a standard error of sqrt(2/2000), 3 %."""
-    step = RelativePrior(bound, 1.0).frozen(cloud)
+    step = RelativePrior(bound, 1.0, LEAST).frozen(cloud)
     random = np.random.default_rng(3)
     direction = random.random(len(voxels))
     draws = [step.perturbation(random, UNITS) @ direction for _ in range(2000)]

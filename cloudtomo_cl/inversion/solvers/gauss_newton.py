@@ -240,7 +240,8 @@ class GaussNewton:
         value = inner.prior_value(state.extinction)
         extinction = minimum(inner, state.extinction)
         if anneals:
-            extinction = without_haze(extinction, problem.voxels)
+            undamped = DataTerm(jacobian, residual_weights, misfit, state.extinction, np.zeros_like(extinction))
+            extinction = without_haze(extinction, problem.voxels, undamped, units.both)
         predicted = jacobian @ (extinction - state.extinction)
         motions = calibration.motions(misfit + predicted, state.image)
         predicted = predicted + calibration.change(motions - state.motions)
@@ -357,7 +358,9 @@ def _noisy_model(problem: Problem, state: GaussNewtonState, jacobian: Jacobian, 
     curvature = jacobian.curvature(problem.weights)
     hessian_diagonal = curvature + prior.curvature(extinction, units) + LEAST_CURVATURE * curvature.mean()
     terms = [data, hessian_of(prior, units, device)]
-    return NoisyModel(terms, hessian_diagonal, data.gradient_at_start, slope_of_noise, prior, units, extinction, device)
+    return NoisyModel(
+        terms, hessian_diagonal, data.gradient(extinction), slope_of_noise, prior, units, extinction, device
+    )
 
 
 def _misfit(problem: Problem, state: GaussNewtonState) -> np.ndarray:
