@@ -13,8 +13,9 @@ from cloudtomo_cl.opencl.layout import DERIVATIVE_UNIT
 from cloudtomo_cl.transport.jacobian import SLOTS_AT_ONCE, Jacobian
 from cloudtomo_cl.transport.jacobian_columns import columns_of
 from cloudtomo_cl.transport.jacobian_structure import JacobianStructure
-from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering
+from cloudtomo_cl.transport.radiance import RadianceOperator
 from cloudtomo_cl.transport.radiance_table import RadianceTable
+from cloudtomo_cl.transport.rendering import Rendering
 from cloudtomo_cl.transport.table_builder import RadianceTableBuilder
 from cloudtomo_cl.transport.table_gradient import rays
 

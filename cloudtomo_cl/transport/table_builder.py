@@ -13,8 +13,9 @@ from cloudtomo_cl.transport.cells import Cells, depth_within, largest_beside
 from cloudtomo_cl.transport.directions import BINS, FEATURES, scattering_matrix, solid_angles
 from cloudtomo_cl.transport.medium import FilledMedium
 from cloudtomo_cl.transport.photons import Photons
-from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering
+from cloudtomo_cl.transport.radiance import RadianceOperator
 from cloudtomo_cl.transport.radiance_table import SUMMED_PARTS, RadianceTable, require_room
+from cloudtomo_cl.transport.rendering import Rendering
 
 # Photons from the sun for each path of the rendering whose derivatives are wanted.
 _PHOTONS_PER_PATH = 1

@@ -8,8 +8,9 @@ import numpy as np
 
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.transport.gradient import deposited
-from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering
+from cloudtomo_cl.transport.radiance import RadianceOperator
 from cloudtomo_cl.transport.radiance_table import RadianceTable
+from cloudtomo_cl.transport.rendering import Rendering
 from cloudtomo_cl.transport.table_builder import RadianceTableBuilder
 
 # Of a pixel's paths, for each ray along which the derivatives of first flights are made.
@@ -68,7 +69,7 @@ class TableGradient:
         """
         operator, samples = self._operator, rendering.samples
         deposit = partial(self._deposit, self._builder.at(rendering), rendering, change)
-        gradient, tangent = deposited(operator, adjoint, samples, deposit)
+        gradient, tangent = deposited(operator.scene, operator.device, operator.shares, adjoint, samples, deposit)
         return gradient, operator.shares.gathered(tangent) * operator.scene.sun.irradiance / samples
 
     def _deposit(

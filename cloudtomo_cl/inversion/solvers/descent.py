@@ -20,8 +20,8 @@ from cloudtomo_cl.opencl.device import Device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import Count
 from cloudtomo_cl.scene.scene import NotNegative, Positive
-from cloudtomo_cl.transport.radiance import Rendering
 from cloudtomo_cl.transport.radiance_table import table_footprint, table_growth
+from cloudtomo_cl.transport.rendering import Rendering
 from cloudtomo_cl.transport.table_gradient import TableGradient
 
 PATHS_PER_ITERATION = 60_000

@@ -35,8 +35,8 @@ from cloudtomo_cl.scene.grid import Count, Grid
 from cloudtomo_cl.scene.scene import NotNegative, Positive
 from cloudtomo_cl.transport.jacobian import Jacobian, jacobian_footprint
 from cloudtomo_cl.transport.jacobian_average import JacobianAverage
-from cloudtomo_cl.transport.radiance import Rendering, pooled
 from cloudtomo_cl.transport.radiance_table import table_footprint, table_growth
+from cloudtomo_cl.transport.rendering import Rendering, pooled
 
 _LOGGER = logging.getLogger(__name__)
 # Misfit, in that of noise alone, from which on derivatives are taken at their word: steps may then be annealed.
