@@ -13,14 +13,13 @@ from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.memory import require_countable, shape_text, voxels_of
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
-from cloudtomo_cl.opencl.layout import MOST_SAMPLES, STRUCTS, ray_array, view_structs
+from cloudtomo_cl.opencl.layout import STRUCTS, ray_array, view_structs
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.opencl.pace import Pace
 from cloudtomo_cl.parallel.ranks import Ranks, Shares
 from cloudtomo_cl.renamed import renamed_arguments, renamed_attributes
 from cloudtomo_cl.scene.pixels import all_pixels, checked_pixels
 from cloudtomo_cl.scene.scene import Scene
-from cloudtomo_cl.scene.seeds import checked_seed
 from cloudtomo_cl.scene.sensors import View
 from cloudtomo_cl.transport.audit import Budget, check_replays
 from cloudtomo_cl.transport.blocks import pixel_blocks
@@ -29,6 +28,7 @@ from cloudtomo_cl.transport.in_parts import BYTES_OF_LIST, kept, on_device, pixe
 from cloudtomo_cl.transport.launches import Launch, StoredLaunch
 from cloudtomo_cl.transport.medium import FilledMedium, Medium
 from cloudtomo_cl.transport.rendering import Rendering, joined
+from cloudtomo_cl.transport.samples import Samples
 from cloudtomo_cl.transport.virtual_collisions import FEW_PATHS, VirtualCollisions
 
 Estimator = Literal["side-flights", "plain"]
@@ -154,20 +154,12 @@ class RadianceOperator:
         if at_once < len(self.pixels) and not store_paths:
             options = {"seed": seed, "stream": stream, "first_sample": first_sample}
             return self._render_in_parts(at_once, extinction, samples, progress, **options)
-        seed, stream = checked_seed(seed), checked_seed(stream, "stream")
-        if samples < 2 or samples % 2:
-            raise DataError(f"samples is {samples}: it must be even and at least 2 (halves are compared)")
-        if first_sample < 0 or first_sample % 2:
-            raise DataError(f"first_sample is {first_sample}: it must be even and at least 0")
-        if first_sample + samples > MOST_SAMPLES:
-            raise DataError(f"{first_sample + samples} paths per pixel are more than the {MOST_SAMPLES} that there are")
+        paths = Samples.checked(samples, seed, stream, first_sample)
         medium, budget = self.ranks.together(
             lambda: (self._medium.filled(extinction, skips_empty=not store_paths), Budget(self.device))
         )
-        sums, launches = self.ranks.together(
-            lambda: self._walk(medium, samples, first_sample, (seed, stream), budget, store_paths, progress)
-        )
-        return self._rendering(self._shares.gathered(sums), samples, seed, stream, budget, medium, launches)
+        sums, launches = self.ranks.together(lambda: self._walk(medium, paths, budget, store_paths, progress))
+        return self._rendering(self._shares.gathered(sums), paths, budget, medium, launches)
 
     def _render_in_parts(
         self, at_once: int, extinction: Any, samples: int, progress: Callable[[int], None] | None, **options: Any
@@ -191,9 +183,7 @@ class RadianceOperator:
     def _walk(
         self,
         medium: FilledMedium,
-        samples: int,
-        first_sample: int,
-        key: tuple[int, int],
+        samples: Samples,
         budget: Budget,
         store_paths: bool,
         progress: Callable[[int], None] | None,
@@ -207,13 +197,14 @@ class RadianceOperator:
         sums = self.device.buffer(host.nbytes)
         self.device.clear(sums)
         done = 0
-        while done < samples:
-            first, number = first_sample + done, int(np.clip(self._pace.work_items // count, 1, samples - done))
+        while done < samples.count:
+            first = samples.first + done
+            number = int(np.clip(self._pace.work_items // count, 1, samples.count - done))
             paths = self.device.empty(number * count, np.float32)
             self._pace.launch(
                 self._render_paths,
                 number * count,
-                **self._arguments(medium, first, number * count, *key),
+                **self._arguments(medium, first, number * count, samples.seed, samples.stream),
                 path_radiance=paths,
                 budget=budget.data,
             )
@@ -282,25 +273,27 @@ class RadianceOperator:
     def _rendering(
         self,
         host: np.ndarray,
-        samples: int,
-        seed: int,
-        stream: int,
+        samples: Samples,
         budget: Budget,
         medium: FilledMedium,
         launches: list[tuple[int, Any]] | None,
     ) -> Rendering:
-        irradiance = self.scene.sun.irradiance
-        halves = irradiance * (host["half_sum"].astype(float) + host["half_low"]) / (samples // 2)
+        """What all ranks' sums are radiances of."""
+        irradiance, count = self.scene.sun.irradiance, samples.count
+        halves = irradiance * (host["half_sum"].astype(float) + host["half_low"]) / (count // 2)
         mean = halves.mean(axis=1)
-        square = irradiance**2 * (host["square_sum"].astype(float) + host["square_low"]) / samples
-        standard_error = np.sqrt(np.maximum(square - mean**2, 0.0) / (samples - 1))
+        square = irradiance**2 * (host["square_sum"].astype(float) + host["square_low"]) / count
+        standard_error = np.sqrt(np.maximum(square - mean**2, 0.0) / (count - 1))
         wrong = ~np.isfinite(standard_error)
         if wrong.any():
             view, pixel = self.pixels[np.argmax(wrong)]
-            raise TransportError(f"radiance is not finite in view {view}, pixel {pixel} (seed {seed}, stream {stream})")
-        audit = budget.audit(float(mean.sum()) / irradiance * samples)
-        audit.check(samples * len(self.pixels))
-        return Rendering(mean, standard_error, halves, samples, seed, stream, audit, medium, launches, self)
+            drawn = f"seed {samples.seed}, stream {samples.stream}"
+            raise TransportError(f"radiance is not finite in view {view}, pixel {pixel} ({drawn})")
+        audit = budget.audit(float(mean.sum()) / irradiance * count)
+        audit.check(count * len(self.pixels))
+        return Rendering(
+            mean, standard_error, halves, count, samples.seed, samples.stream, audit, medium, launches, self
+        )
 
     @device_errors("the gradient")
     def gradient(self, rendering: Rendering, adjoint: np.ndarray, filling_limit: float | None = None) -> Any:
