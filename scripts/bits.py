@@ -38,7 +38,11 @@ STEPS = 3
 
 @lru_cache
 def found(*names: str) -> Any:
-    """The class of one of these names, in whatever module of the package it is defined. LookupError if in none."""
+    """The class of the first of these names that there is, in whatever module of the package it is defined.
+
+    LookupError if there is none.
+    """
+    there: dict[str, Any] = {}
     for info in pkgutil.walk_packages(ct.__path__, "cloudtomo_cl."):
         if info.name.endswith(("__main__", ".kernels")):
             continue
@@ -49,7 +53,10 @@ def found(*names: str) -> Any:
         for name in names:
             candidate = vars(module).get(name)
             if candidate is not None and getattr(candidate, "__module__", "") == info.name:
-                return candidate
+                there.setdefault(name, candidate)
+    for name in names:
+        if name in there:
+            return there[name]
     raise LookupError(f"no {' or '.join(names)} in the package")
 
 
@@ -99,7 +106,8 @@ def of_table(operator: Any, rendering: Any, adjoint: np.ndarray, mask: np.ndarra
     """The adjoint gradient by the radiance table, and its Jacobian."""
     import pyopencl.array
 
-    table = found("RadianceTable")(operator)
+    # Older revisions have both in one class.
+    table = found("TableGradient", "RadianceTable")(operator)
     change = np.where(mask, np.random.default_rng(2).normal(size=mask.shape), 0).astype(np.float32)
     change = pyopencl.array.to_device(operator.device.queue, change)
     for turn in range(2):

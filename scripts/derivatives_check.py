@@ -29,8 +29,8 @@ from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.phase import DoubleHenyeyGreenstein, HenyeyGreenstein, TabulatedPhaseFunction
 from cloudtomo_cl.scene.scene import Air, Boundary, Cloud, Scene, Sun, Surface
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, View
-from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.radiance import RadianceOperator
+from cloudtomo_cl.transport.table_gradient import TableGradient
 
 SHAPE, EDGE = (12, 10, 8), 0.04  # voxels; km
 GRID = Grid(shape=SHAPE, spacing=(EDGE, EDGE, EDGE), origin=(0.0, 0.0, 0.1))
@@ -163,12 +163,11 @@ def by_replay(operator: RadianceOperator, values: np.ndarray, changes: list[np.n
 def by_table(operator: RadianceOperator, values: np.ndarray, changes: list[np.ndarray], samples: int, seed: int
              ) -> Estimator:  # fmt: skip
     """Gradients by the radiance table."""
-    table, adjoint = RadianceTable(operator), mean_adjoint(operator)
-    nothing = operator.device.zeros(values.shape, np.float32)
+    table, adjoint = TableGradient(operator), mean_adjoint(operator)
 
     def along(batch: int) -> list[float]:
         rendering = operator.render(values, samples, seed, batch, store_paths=True)
-        gradient = table.gradient(rendering, adjoint, nothing)[0].get().astype(float)
+        gradient = table.gradient(rendering, adjoint)[0].get().astype(float)
         return [float(np.sum(gradient * change)) for change in changes]
 
     return along

@@ -166,11 +166,9 @@ def test_worker(tests: list[str], done: list[str]) -> None:
 
 def compare_worker(samples: int, file: str) -> None:
     """Radiances of paths, an image, and both gradients of two small scenes, into a file."""
-    import pyopencl.array
-
     import cloudtomo_cl as ct
     from cloudtomo_cl.opencl.device import choose_device
-    from cloudtomo_cl.transport.derivatives import RadianceTable
+    from cloudtomo_cl.transport.table_gradient import TableGradient
 
     mind_the_simulator()
     device = choose_device()
@@ -194,15 +192,14 @@ def compare_worker(samples: int, file: str) -> None:
         operator = ct.RadianceOperator(scene, views, device, mask=np.ones(grid.shape, bool))
         rendering = operator.render(extinction, samples, seed=3, iteration=5, store_paths=True)
         adjoint = np.column_stack([np.linspace(0.5, 1.5, len(operator.pixels))] * 2)
-        change = pyopencl.array.zeros(device.queue, grid.shape, np.float32)
         results[f"{name} paths"] = np.concatenate([paths.get() for _, paths in rendering._launches])
         results[f"{name} image"] = rendering.mean
         results[f"{name} gradient"] = operator.gradient(rendering, adjoint).get()
-        fields[name] = (operator, rendering, adjoint, change)
+        fields[name] = (operator, rendering, adjoint)
     np.savez(file, **results)
     # Last, and what there is has been kept: this is where drivers fall over.
     for name, (operator, *given) in fields.items():
-        results[f"{name} field"] = RadianceTable(operator).gradient(*given)[0].get()
+        results[f"{name} field"] = TableGradient(operator).gradient(*given)[0].get()
     np.savez(file, **results)
 
 

@@ -35,10 +35,10 @@ MARGIN = 2
 def timed_methods(ranks: Any) -> dict[str, list[tuple[Any, str]]]:
     """What is timed, by kind; what is told other ranks is part of the other kinds, too."""
     from cloudtomo_cl.inversion.patch_operator import PatchOperator, PatchQuadratic
-    from cloudtomo_cl.transport.derivatives import RadianceTable
     from cloudtomo_cl.transport.jacobian import Jacobian
     from cloudtomo_cl.transport.jacobian_average import JacobianAverage
     from cloudtomo_cl.transport.radiance import RadianceOperator
+    from cloudtomo_cl.transport.table_builder import RadianceTableBuilder
 
     return {
         "paths": [(RadianceOperator, "_walk"), (JacobianAverage, "_add_rows")],
@@ -46,7 +46,7 @@ def timed_methods(ranks: Any) -> dict[str, list[tuple[Any, str]]]:
         "prior": [
             (PatchOperator, "chosen_components"), (PatchQuadratic, "_assemble"), (PatchQuadratic, "add_product"),
         ],
-        "table": [(RadianceTable, "prepare")],
+        "table": [(RadianceTableBuilder, "at")],
         "told": [(type(ranks), name) for name in ("joined", "exchange", "_added", "all", "any") if ranks.size > 1],
     }  # fmt: skip
 
@@ -127,6 +127,21 @@ def scene() -> tuple[Any, tuple[Any, ...], np.ndarray]:
     return case.scene, views, case.extinction
 
 
+def counted_cells() -> list[int]:
+    """Cells of the radiance tables that are made from now on, one after the other."""
+    from cloudtomo_cl.transport.table_builder import RadianceTableBuilder
+
+    cells, at = [], RadianceTableBuilder.at
+
+    def counted(builder: Any, rendering: Any) -> Any:
+        table = at(builder, rendering)
+        cells.append(len(table))
+        return table
+
+    RadianceTableBuilder.at = counted  # type: ignore[method-assign]
+    return cells
+
+
 def work(kind: str) -> dict[str, Any]:
     """What one rank measures: a dict of numbers."""
     import cloudtomo_cl as ct
@@ -169,13 +184,14 @@ def iterations(device: Any, clock: Clock) -> dict[str, Any]:
     state = solver.init(problem, np.full(len(problem.voxels), 5.0))
     state, _ = solver.step(problem, state, seed=SEED, stream=1)
     clock.clear()
+    cells = counted_cells()
     sent, paths = device.ranks.sent, 0
     for stream in range(2, 2 + ITERATIONS):
         state, progress = clock.of(
             "iteration", lambda stream=stream, state=state: solver.step(problem, state, seed=SEED, stream=stream)
         )
         paths += progress.paths
-    structure, table = state.derivatives._sums.structure, state.derivatives._sums._table
+    structure = state.derivatives._sums.structure
     return {
         "wall": {name: value / ITERATIONS for name, value in clock.wall.items()},
         "cpu": {name: value / ITERATIONS for name, value in clock.cpu.items()},
@@ -186,7 +202,7 @@ def iterations(device: Any, clock: Clock) -> dict[str, Any]:
         "pixels": len(problem.active),
         "voxels": len(problem.voxels),
         "entries": structure.entries,
-        "cells": table.cells,
+        "cells": cells[-1],
         "bins": BINS,
     }
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cloudtomo_cl.clouds.generate import cumulus
 from cloudtomo_cl.commands import rendering, stopping
-from cloudtomo_cl.commands.init import run_file, scene_file
+from cloudtomo_cl.commands.new_settings import run_file, scene_file
 from cloudtomo_cl.commands.provenance import source, versions
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.extinction import write_extinction

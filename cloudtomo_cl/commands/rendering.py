@@ -27,7 +27,8 @@ from cloudtomo_cl.settings.scenes import read_scene_file
 from cloudtomo_cl.settings.stored import kept_scene, noise_of_table, stored_noise, stored_scene
 from cloudtomo_cl.settings.tables import views
 from cloudtomo_cl.transport.adaptive import relative_error, render_to_error
-from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering
+from cloudtomo_cl.transport.radiance import RadianceOperator
+from cloudtomo_cl.transport.rendering import Rendering
 
 _DEFAULT_SAMPLES = 256
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cloudtomo_cl.inversion.conjugate_gradients import minimised
+from cloudtomo_cl.inversion.noise_units import NoiseUnits
+from cloudtomo_cl.inversion.prior_terms import term_of
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
-from cloudtomo_cl.inversion.stage_prior import NoiseUnits
-from cloudtomo_cl.inversion.terms import Term, term_of
+from cloudtomo_cl.inversion.terms import Term
 
 # Shares of the weight of a prior that chooses, one minimised with after the other (docs/decisions/patch-prior.md).
 _SHARES = (0.03, 0.06, 0.12, 0.24, 0.48, 1.0, 1.0)

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cloudtomo_cl.inversion.conjugate_gradients import minimised
-from cloudtomo_cl.inversion.stage_prior import FrozenPrior, NoiseUnits
+from cloudtomo_cl.inversion.noise_units import NoiseUnits
+from cloudtomo_cl.inversion.stage_prior import FrozenPrior
 from cloudtomo_cl.inversion.terms import Around, Term
 from cloudtomo_cl.opencl.device import Device
 

@@ -11,11 +11,12 @@ from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion.mixture_file import SHIPPED, read_mixtures
+from cloudtomo_cl.inversion.noise_units import NoiseUnits
 from cloudtomo_cl.inversion.patch_operator import PatchOperator
 from cloudtomo_cl.inversion.patch_prior import StagePatches
 from cloudtomo_cl.inversion.patches import Patches
 from cloudtomo_cl.inversion.relative_prior import RelativePrior
-from cloudtomo_cl.inversion.stage_prior import FrozenPrior, NoiseUnits, StagePrior
+from cloudtomo_cl.inversion.stage_prior import FrozenPrior, StagePrior
 from cloudtomo_cl.inversion.vectors import Vectors
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.messages import answering

@@ -11,12 +11,12 @@ import numpy as np
 from cloudtomo_cl.blas import with_one_blas_thread
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion.carving import carved_mask
+from cloudtomo_cl.inversion.noise_units import NoiseUnits
 from cloudtomo_cl.inversion.objective import AveragedImage
 from cloudtomo_cl.inversion.pixels import ActivePixels, active_pixels
 from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser, stage_prior
-from cloudtomo_cl.inversion.stage_prior import NoiseUnits, StagePrior
+from cloudtomo_cl.inversion.stage_prior import StagePrior
 from cloudtomo_cl.inversion.voxels import Voxels
-from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
 from cloudtomo_cl.scene.arrays import filled
 from cloudtomo_cl.scene.grid import Grid, coarsened
@@ -24,8 +24,8 @@ from cloudtomo_cl.scene.masks import checked_mask
 from cloudtomo_cl.scene.measurements import Measurements, check_wavelength
 from cloudtomo_cl.scene.pointing import moved
 from cloudtomo_cl.scene.scene import Scene
-from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.radiance import RadianceOperator
+from cloudtomo_cl.transport.table_gradient import TableGradient
 
 if TYPE_CHECKING:
     from cloudtomo_cl.inversion.linear_model import LinearModel
@@ -189,7 +189,7 @@ class Problem:
         image = AveragedImage.empty(len(self.active))
         data = (rendering.halves, self.radiance, self.weights, self.active.calibration)
         value, _ = image.cost(*data)
-        gradient, _ = RadianceTable(self.operator).gradient(rendering, image.adjoint(*data), self._nothing())
+        gradient, _ = TableGradient(self.operator).gradient(rendering, image.adjoint(*data))
         of_prior, prior_gradient = self.prior.value_and_gradient(x, self.units())
         return value + of_prior, gradient.get()[self.mask].astype(float) + prior_gradient
 
@@ -205,9 +205,6 @@ class Problem:
     def _count(self, samples: int | None) -> int:
         """Paths per pixel: those asked for, or the problem's, or those by default; `render` refuses 0."""
         return next(count for count in (samples, self.samples, self.default_samples) if count is not None)
-
-    def _nothing(self) -> DeviceArray:
-        return self.operator.device.zeros(self.grid.shape, np.float32)
 
     def _checked(self, x: np.ndarray) -> np.ndarray:
         x = np.asarray(filled(x), float)

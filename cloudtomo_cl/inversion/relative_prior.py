@@ -7,7 +7,8 @@ from typing import cast
 
 import numpy as np
 
-from cloudtomo_cl.inversion.stage_prior import DevicePrior, FrozenPrior, NoiseUnits, StagePrior
+from cloudtomo_cl.inversion.noise_units import NoiseUnits
+from cloudtomo_cl.inversion.stage_prior import DevicePrior, FrozenPrior, StagePrior
 from cloudtomo_cl.inversion.terms import Term
 
 

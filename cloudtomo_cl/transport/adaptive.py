@@ -11,7 +11,8 @@ import numpy as np
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.transport.audit import Audit, combined
-from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering, pooled
+from cloudtomo_cl.transport.radiance import RadianceOperator
+from cloudtomo_cl.transport.rendering import Rendering, pooled
 
 # Paths per pixel of the pilot, which tells the noise and is then left out: images that share their
 # paths with the choice of how many there are would be biased (Kirk and Arvo 1991). At first the least; then, if many

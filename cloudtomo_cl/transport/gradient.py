@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.opencl.arrays import DeviceArray
+from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.opencl.fixed_point import summed
-
-if TYPE_CHECKING:
-    from cloudtomo_cl.transport.radiance import RadianceOperator
+from cloudtomo_cl.parallel.ranks import Shares
+from cloudtomo_cl.scene.scene import Scene
 
 _Result = TypeVar("_Result")
 # Units of the fixed-point gradient per sr^-1 km deposited under the largest adjoint: rounding is
@@ -24,7 +24,9 @@ _LARGEST_ADJOINT = 1e28
 
 
 def deposited(
-    operator: RadianceOperator,
+    scene: Scene,
+    device: Device,
+    shares: Shares,
     adjoint: np.ndarray,
     samples: int,
     deposit: Callable[[Any, DeviceArray], _Result],
@@ -33,7 +35,9 @@ def deposited(
 
     Parameters
     ----------
-    operator : whose pixels and voxels
+    scene : whose voxels
+    device : where to compute
+    shares : which rank has which pixels
     adjoint : derivative of the cost with respect to the halves of a rendering, shape (pixels, 2)
     samples : paths per pixel
     deposit : given the adjoint of this rank's pixels, in shares of the largest and units of the sums, float32, shape
@@ -50,19 +54,18 @@ def deposited(
     DataError : the adjoint is not finite, or too large
     TransportError : a voxel's sum has overflowed
     """
-    device, ranks = operator.device, operator.ranks
-    largest = largest_adjoint(adjoint)
+    ranks, largest = device.ranks, largest_adjoint(adjoint)
 
     def work() -> tuple[DeviceArray, np.ndarray, _Result]:
-        total = device.zeros(operator.scene.grid.shape, np.int64)
-        shares = adjoint / largest if largest > 0 else np.zeros_like(adjoint)
-        factors = device.constant((operator.shares.taken(shares) * FIXED_POINT_SCALE).astype(np.float32))
+        total = device.zeros(scene.grid.shape, np.int64)
+        relative = adjoint / largest if largest > 0 else np.zeros_like(adjoint)
+        factors = device.constant((shares.taken(relative) * FIXED_POINT_SCALE).astype(np.float32))
         result = deposit(factors, total)
         return total, total.get(), result
 
     total, sums, result = ranks.together(work)
     sums = summed(sums, ranks, "the gradient", "voxel")
-    unit = largest / FIXED_POINT_SCALE * operator.scene.sun.irradiance / (samples // 2)
+    unit = largest / FIXED_POINT_SCALE * scene.sun.irradiance / (samples // 2)
 
     def converted() -> DeviceArray:
         if ranks.size > 1:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import device_errors
 from cloudtomo_cl.opencl.fixed_point import overflow
 from cloudtomo_cl.opencl.layout import DERIVATIVE_UNIT
-from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.jacobian import SLOTS_AT_ONCE, Jacobian
 from cloudtomo_cl.transport.jacobian_columns import columns_of
 from cloudtomo_cl.transport.jacobian_structure import JacobianStructure
-from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering
+from cloudtomo_cl.transport.radiance import RadianceOperator
+from cloudtomo_cl.transport.radiance_table import RadianceTable
+from cloudtomo_cl.transport.rendering import Rendering
+from cloudtomo_cl.transport.table_builder import RadianceTableBuilder
+from cloudtomo_cl.transport.table_gradient import rays
 
 # Slots of tiles whose sums are made at a time on a CPU, which is busy with fewer paths: sums take memory.
 _SLOTS_ON_CPU = 1 << 20
@@ -34,15 +39,15 @@ class JacobianAverage:
     @device_errors("the derivatives")
     def __init__(self, operator: RadianceOperator) -> None:
         self._operator = operator
-        self._table, self.structure = operator.ranks.together(self._prepared)
+        self._builder, self.structure = operator.ranks.together(self._prepared)
         self._columns = columns_of(self.structure, self._near, self._far)
         self.jacobian = operator.ranks.together(lambda: Jacobian(self.structure, self._near, self._far, self._columns))
 
-    def _prepared(self) -> tuple[RadianceTable, JacobianStructure]:
-        """Table and structure; and room for the values."""
+    def _prepared(self) -> tuple[RadianceTableBuilder, JacobianStructure]:
+        """What makes tables, and the structure; and room for the values."""
         operator, device = self._operator, self._operator.device
-        table = RadianceTable(operator)
-        structure = JacobianStructure(operator, table.column)
+        builder = RadianceTableBuilder(operator)
+        structure = JacobianStructure(operator, builder.column)
         rows, blocks = structure.row_blocks, structure.voxel_blocks
         self._near = device.zeros(max(structure.near.count, 1), np.float32)
         self._far = device.zeros((max(len(rows), 1), len(blocks)), np.float32)
@@ -50,7 +55,7 @@ class JacobianAverage:
             "block_pixels": device.constant(structure.pixel_blocks.sizes[rows]),
             "block_voxels": device.constant(blocks.sizes),
         }
-        return table, structure
+        return builder, structure
 
     @device_errors("the derivatives")
     def add(self, rendering: Rendering, rate: float) -> None:
@@ -60,12 +65,11 @@ class JacobianAverage:
         ------
         AuditError, TransportError : as `RadianceOperator.gradient`
         """
-        self._table.prepare(rendering)
-        self._operator.ranks.together(lambda: self._add_rows(rendering, rate))
-        self._table.release()
+        # The table is nobody's once this is done: products need its memory.
+        self._operator.ranks.together(partial(self._add_rows, self._builder.at(rendering), rendering, rate))
         self._columns.refresh()
 
-    def _add_rows(self, rendering: Rendering, rate: float) -> None:
+    def _add_rows(self, table: RadianceTable, rendering: Rendering, rate: float) -> None:
         """The rows of this rank's pixels."""
         structure, operator = self.structure, self._operator
         unit = operator.scene.sun.irradiance / rendering.samples * rate / DERIVATIVE_UNIT
@@ -73,7 +77,7 @@ class JacobianAverage:
         far_sums = operator.device.zeros(self._far.shape, np.int64)
         for first, count in self._rows():
             sums = operator.device.zeros(max(structure.tiles.slots(first, count), 1), np.int64)
-            self._add_paths(rendering, first, count, sums, far_sums)
+            self._add_paths(table, rendering, first, count, sums, far_sums)
             operator.device.launch(
                 operator.device.kernel("near_field", "average_near"), count, scene=structure.scene_struct,
                 column=structure.column, **structure.tiles.arguments, first_pixel=first, row_count=count,
@@ -89,21 +93,28 @@ class JacobianAverage:
             raise overflow("the Jacobian")
 
     def _add_paths(
-        self, rendering: Rendering, first: int, count: int, near_sums: DeviceArray, far_sums: DeviceArray
+        self,
+        table: RadianceTable,
+        rendering: Rendering,
+        first: int,
+        count: int,
+        near_sums: DeviceArray,
+        far_sums: DeviceArray,
     ) -> None:
+        """Adds the derivatives of the paths of so many pixels from one on."""
         structure = self.structure
-        device, features = self._operator.device, self._table.features
-        paths, rays = (device.kernel("jacobian", name, features) for name in ("jacobian_paths", "jacobian_rays"))
-        left = self._table.rays(rendering)
+        device, features = self._operator.device, self._builder.features
+        of_paths, of_rays = (device.kernel("jacobian", name, features) for name in ("jacobian_paths", "jacobian_rays"))
+        left = rays(rendering)
         weight = rendering.samples / left
-        arguments = self._table.buffers | {
+        arguments = table.arguments | {
             **structure.tiles.arguments, "first_pixel": first, "row_count": count, "place": structure.place,
             "block": structure.block, "pixel_block": structure.pixel_block,
             "block_count": len(structure.voxel_blocks), "near_sums": near_sums, "far_sums": far_sums,
         }  # fmt: skip
         for launch in self._operator.stored_launches(rendering):
-            launch.run_rows(paths, count, **arguments)
-            left -= launch.run_rays(rays, count, left, weight=weight, **arguments)
+            launch.run_rows(of_paths, count, **arguments)
+            left -= launch.run_rays(of_rays, count, left, weight=weight, **arguments)
 
     def _rows(self) -> list[tuple[int, int]]:
         """Pixels whose sums are made at a time: the first, and how many."""

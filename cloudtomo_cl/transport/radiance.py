@@ -4,34 +4,32 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from cloudtomo_cl.errors import DataError, TransportError
-from cloudtomo_cl.files.measurements import measurements_dataset
 from cloudtomo_cl.memory import require_countable, shape_text, voxels_of
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
-from cloudtomo_cl.opencl.layout import MOST_SAMPLES, STRUCTS, ray_array, view_structs
+from cloudtomo_cl.opencl.layout import STRUCTS, ray_array, view_structs
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.opencl.pace import Pace
 from cloudtomo_cl.parallel.ranks import Ranks, Shares
 from cloudtomo_cl.renamed import renamed_arguments, renamed_attributes
-from cloudtomo_cl.scene.cards import card
-from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.pixels import all_pixels, checked_pixels
 from cloudtomo_cl.scene.scene import Scene
-from cloudtomo_cl.scene.seeds import checked_seed
 from cloudtomo_cl.scene.sensors import View
-from cloudtomo_cl.transport.audit import Audit, Budget, check_replays
+from cloudtomo_cl.transport.audit import Budget, check_replays
 from cloudtomo_cl.transport.blocks import pixel_blocks
 from cloudtomo_cl.transport.gradient import deposited
-from cloudtomo_cl.transport.in_parts import BYTES_OF_LIST, kept, on_device, pixels_at_once, render_in_parts
+from cloudtomo_cl.transport.in_parts import BYTES_OF_LIST, kept, on_device, pixels_at_once
+from cloudtomo_cl.transport.launches import Launch, StoredLaunch
 from cloudtomo_cl.transport.medium import FilledMedium, Medium
-from cloudtomo_cl.transport.virtual_collisions import VirtualCollisions
+from cloudtomo_cl.transport.rendering import Rendering, joined
+from cloudtomo_cl.transport.samples import Samples
+from cloudtomo_cl.transport.virtual_collisions import FEW_PATHS, VirtualCollisions
 
 Estimator = Literal["side-flights", "plain"]
 
@@ -42,89 +40,6 @@ _LONGEST_SUM = 1 << 15
 _BYTES_PER_VOXEL, _BYTES_PER_PIXEL, _BYTES_PER_PATH, _HOST_BYTES_PER_PIXEL = 8, 48, 4, 160
 # Pixels that are rendered together at least: with less room a problem is refused.
 _FEWEST_AT_ONCE = 4096
-
-
-@renamed_attributes(iteration="stream")
-@dataclass(frozen=True)
-class Rendering:
-    """Radiances of the operator's pixels.
-
-    Attributes
-    ----------
-    mean : W m^-2 sr^-1, shape (pixels,)
-    standard_error : of the mean, same unit and shape, by the pixel's own paths: squares of it are unbiased, and sums
-        of them hold. As a pixel's error bar, or as its weight, with few paths it does not, for rare bright paths make
-        most of the light: `Measurements.rendered` has errors that do
-    halves : means over even and over odd samples, shape (pixels, 2)
-    samples : paths per pixel; an array (pixels,) if they differ (`adaptive.render_to_error`)
-    seed, stream : what the paths were drawn with
-    audit : what became of the paths
-    """
-
-    mean: np.ndarray
-    standard_error: np.ndarray
-    halves: np.ndarray
-    samples: Any
-    seed: int
-    stream: int
-    audit: Audit
-    _medium: FilledMedium = field(repr=False)
-    _launches: list[tuple[int, Any]] | None = field(repr=False, default=None)
-    _operator: Any = field(repr=False, default=None)
-
-    def to_dataset(self) -> Any:
-        """Its images as an xarray Dataset, with views, units and standard errors: see `measurements_dataset`.
-
-        Raises DataError where the operator has no pixel of a view: there is no image.
-        """
-        return measurements_dataset(Measurements.rendered(self._operator, self))
-
-    def _repr_html_(self) -> str:
-        images = [(f"view {number}", image) for number, image in enumerate(self._operator.images(self.mean))]
-        samples = f"{np.mean(self.samples):.6g} paths per pixel, seed {self.seed}"
-        return card("Rendering", {"mean radiance": f"{self.mean.mean():.4g} W m^-2 sr^-1", "made by": samples}, images)
-
-    def __repr__(self) -> str:
-        radiance, samples = f"mean {self.mean.mean():.4g} W m^-2 sr^-1", np.mean(self.samples)
-        return f"Rendering({self.mean.size} pixels, {radiance}, {samples:.6g} paths per pixel, seed {self.seed})"
-
-
-@dataclass(frozen=True)
-class StoredLaunch:
-    """Paths of a rendering that are walked again together."""
-
-    paths: int
-    _samples: int
-    _pace: Pace
-    _walk: dict[str, Any]
-    _stored: dict[str, Any]
-
-    @property
-    def _arguments(self) -> dict[str, Any]:
-        return self._walk | self._stored
-
-    def run(self, kernel: Any, **arguments: Any) -> None:
-        """Runs a kernel on them; given are its own arguments, beside those of all replays."""
-        self._pace.launch(kernel, self.paths, **self._arguments, **arguments)
-
-    def run_part(self, kernel: Any, begin: int, end: int, **arguments: Any) -> None:
-        """Runs a kernel on the paths `begin` to `end`; begin is a multiple of the work groups' size."""
-        self._pace.device.launch(kernel, end - begin, global_offset=begin, **self._arguments, **arguments)
-
-    def walk(self, kernel: Any, work_items: int, **arguments: Any) -> None:
-        """Runs a kernel that walks other paths of the same pixels: it knows nothing of the stored ones."""
-        self._pace.device.launch(kernel, work_items, **self._walk, **arguments)
-
-    def run_rays(self, kernel: Any, pixels: int, most: int, **arguments: Any) -> int:
-        """Runs a kernel on rays of the pixels' first samples here; returns of how many: `most`, or all there are."""
-        rays = min(most, self._samples)
-        if rays:
-            self._pace.device.launch(kernel, pixels * rays, **self._arguments, **arguments, ray_count=rays)
-        return rays
-
-    def run_rows(self, kernel: Any, pixels: int, **arguments: Any) -> None:
-        """Runs a kernel on the paths of so many of the pixels (`first_pixel` is among the arguments)."""
-        self._pace.launch(kernel, pixels * self._samples, **self._arguments, **arguments)
 
 
 @renamed_attributes(field="on_device", kept_launches="stored_launches")
@@ -201,7 +116,7 @@ class RadianceOperator:
         self._take(all_pixels(self.views) if pixels is None else checked_pixels(self.views, pixels))
         self._render_paths = self.device.kernel("image", "render_paths", self._medium.features)
         self._sum_paths = self.device.kernel("image", "sum_paths", self._medium.features)
-        self._virtual_collisions = VirtualCollisions(self.device, self._medium.features)
+        self._virtual_collisions = VirtualCollisions(self._medium)
         self._pace = Pace(self.device)
 
     @renamed_arguments(iteration="stream", keep_paths="store_paths")
@@ -238,28 +153,37 @@ class RadianceOperator:
         at_once = min(self.ranks.all(pixels_at_once(self.device, voxels_of(self.scene.grid.shape), len(self.pixels))))
         if at_once < len(self.pixels) and not store_paths:
             options = {"seed": seed, "stream": stream, "first_sample": first_sample}
-            return render_in_parts(self, at_once, extinction, samples, progress, **options)
-        seed, stream = checked_seed(seed), checked_seed(stream, "stream")
-        if samples < 2 or samples % 2:
-            raise DataError(f"samples is {samples}: it must be even and at least 2 (halves are compared)")
-        if first_sample < 0 or first_sample % 2:
-            raise DataError(f"first_sample is {first_sample}: it must be even and at least 0")
-        if first_sample + samples > MOST_SAMPLES:
-            raise DataError(f"{first_sample + samples} paths per pixel are more than the {MOST_SAMPLES} that there are")
+            return self._render_in_parts(at_once, extinction, samples, progress, **options)
+        paths = Samples.checked(samples, seed, stream, first_sample)
         medium, budget = self.ranks.together(
             lambda: (self._medium.filled(extinction, skips_empty=not store_paths), Budget(self.device))
         )
-        sums, launches = self.ranks.together(
-            lambda: self._walk(medium, samples, first_sample, (seed, stream), budget, store_paths, progress)
-        )
-        return self._rendering(self._shares.gathered(sums), samples, seed, stream, budget, medium, launches)
+        sums, launches = self.ranks.together(lambda: self._walk(medium, paths, budget, store_paths, progress))
+        return self._rendering(self._shares.gathered(sums), paths, budget, medium, launches)
+
+    def _render_in_parts(
+        self, at_once: int, extinction: Any, samples: int, progress: Callable[[int], None] | None, **options: Any
+    ) -> Rendering:
+        """As `render`, so many pixels at a time: with the same bits, but for the audit's rounding.
+
+        options : those of `render`
+        """
+        found, pixels = [], self.pixels
+        medium = self.ranks.together(lambda: self.on_device(extinction))
+        for begin in range(0, len(pixels), at_once):
+            part = self.ranks.together(partial(self.of_pixels, pixels[begin : begin + at_once]))
+
+            def told(done: int, before: int = begin, count: int = len(part.pixels)) -> None:
+                if progress:
+                    progress(int((samples * before + done * count) / len(pixels)))
+
+            found.append(part.render(medium, samples, progress=told, **options))
+        return joined(found, self)
 
     def _walk(
         self,
         medium: FilledMedium,
-        samples: int,
-        first_sample: int,
-        key: tuple[int, int],
+        samples: Samples,
         budget: Budget,
         store_paths: bool,
         progress: Callable[[int], None] | None,
@@ -273,13 +197,14 @@ class RadianceOperator:
         sums = self.device.buffer(host.nbytes)
         self.device.clear(sums)
         done = 0
-        while done < samples:
-            first, number = first_sample + done, int(np.clip(self._pace.work_items // count, 1, samples - done))
+        while done < samples.count:
+            first = samples.first + done
+            number = int(np.clip(self._pace.work_items // count, 1, samples.count - done))
             paths = self.device.empty(number * count, np.float32)
             self._pace.launch(
                 self._render_paths,
                 number * count,
-                **self._arguments(medium, first, number * count, *key),
+                **self._arguments(medium, first, number * count, samples.seed, samples.stream),
                 path_radiance=paths,
                 budget=budget.data,
             )
@@ -348,25 +273,27 @@ class RadianceOperator:
     def _rendering(
         self,
         host: np.ndarray,
-        samples: int,
-        seed: int,
-        stream: int,
+        samples: Samples,
         budget: Budget,
         medium: FilledMedium,
         launches: list[tuple[int, Any]] | None,
     ) -> Rendering:
-        irradiance = self.scene.sun.irradiance
-        halves = irradiance * (host["half_sum"].astype(float) + host["half_low"]) / (samples // 2)
+        """What all ranks' sums are radiances of."""
+        irradiance, count = self.scene.sun.irradiance, samples.count
+        halves = irradiance * (host["half_sum"].astype(float) + host["half_low"]) / (count // 2)
         mean = halves.mean(axis=1)
-        square = irradiance**2 * (host["square_sum"].astype(float) + host["square_low"]) / samples
-        standard_error = np.sqrt(np.maximum(square - mean**2, 0.0) / (samples - 1))
+        square = irradiance**2 * (host["square_sum"].astype(float) + host["square_low"]) / count
+        standard_error = np.sqrt(np.maximum(square - mean**2, 0.0) / (count - 1))
         wrong = ~np.isfinite(standard_error)
         if wrong.any():
             view, pixel = self.pixels[np.argmax(wrong)]
-            raise TransportError(f"radiance is not finite in view {view}, pixel {pixel} (seed {seed}, stream {stream})")
-        audit = budget.audit(float(mean.sum()) / irradiance * samples)
-        audit.check(samples * len(self.pixels))
-        return Rendering(mean, standard_error, halves, samples, seed, stream, audit, medium, launches, self)
+            drawn = f"seed {samples.seed}, stream {samples.stream}"
+            raise TransportError(f"radiance is not finite in view {view}, pixel {pixel} ({drawn})")
+        audit = budget.audit(float(mean.sum()) / irradiance * count)
+        audit.check(count * len(self.pixels))
+        return Rendering(
+            mean, standard_error, halves, count, samples.seed, samples.stream, audit, medium, launches, self
+        )
 
     @device_errors("the gradient")
     def gradient(self, rendering: Rendering, adjoint: np.ndarray, filling_limit: float | None = None) -> Any:
@@ -401,15 +328,29 @@ class RadianceOperator:
             raise DataError(f"adjoint has shape {adjoint.shape}, not ({len(self.pixels)}, 2)")
         if filling_limit is not None and not 0 <= filling_limit < np.inf:
             raise DataError(f"filling_limit is {filling_limit}: it must be finite and at least 0 km^-1")
-        return deposited(self, adjoint, rendering.samples, partial(self._replay, rendering, filling_limit))[0]
+        deposit = partial(self._replay, rendering, filling_limit)
+        return deposited(self.scene, self.device, self._shares, adjoint, rendering.samples, deposit)[0]
 
     def _replay(
         self, rendering: Rendering, filling_limit: float | None, factors: DeviceArray, total: DeviceArray
     ) -> None:
         """Adds what this rank's paths deposit; see `deposited`."""
-        virtual = self._virtual_collisions.extinction(self, rendering, filling_limit)
+        extinction = rendering._medium.extinction.get()
+        if filling_limit is None:
+            filling_limit = self._virtual_collisions.limit(extinction, self._few_paths(rendering))
+        virtual = self._virtual_collisions.extinction(extinction, filling_limit)
         for launch in self.stored_launches(rendering):
             self._virtual_collisions.run(launch, adjoint=factors, virtual_extinction=virtual, gradient=total)
+
+    def _few_paths(self, rendering: Rendering) -> Launch:
+        """About `FEW_PATHS` of a rendering, of pixels all over the images; every rank has all of them."""
+        count = len(self.pixels)
+        evenly = np.unique(np.linspace(0, count - 1, min(count, FEW_PATHS)).astype(int))
+        chosen = self.of_pixels(self.pixels[evenly])
+        paths = len(evenly) * -(-FEW_PATHS // len(evenly))
+        walk = chosen._arguments(rendering._medium, 0, paths, rendering.seed, rendering.stream)
+        walk |= {"pixels": self.device.constant(chosen.pixels), "pixel_count": len(chosen.pixels)}
+        return Launch(paths, self._pace, walk)
 
     def stored_launches(self, rendering: Rendering) -> Iterator[StoredLaunch]:
         """The launches of a rendering that kept its paths, for kernels to walk them again: those of this rank.
@@ -428,7 +369,7 @@ class RadianceOperator:
                 rendering._medium, first, paths.size, rendering.seed, rendering.stream
             )
             stored = {"path_radiance": paths, "astray": astray}
-            yield StoredLaunch(paths.size, paths.size // len(self._shares), self._pace, walk, stored)
+            yield StoredLaunch(paths.size, self._pace, walk, paths.size // len(self._shares), stored)
         check_replays(int(astray.get()[0]), rendering.samples * len(self.pixels))
 
     def images(self, values: np.ndarray) -> list[np.ndarray]:
@@ -456,19 +397,6 @@ def _require_memory(device: Device, shape: tuple[int, ...], pixels: int) -> None
     later = pixels - at_once
     needed = footprint(voxels, at_once) + Footprint(BYTES_OF_LIST * later, 0.0, _HOST_BYTES_PER_PIXEL * later)
     needed.require(device, what, "choose fewer pixels or voxels")
-
-
-def pooled(first: Rendering, second: Rendering) -> Rendering:
-    """Two renderings of the same pixels with different paths. It has no stored paths: there are no gradients of it."""
-    share = first.samples / (first.samples + second.samples)
-    return replace(
-        first,
-        mean=share * first.mean + (1 - share) * second.mean,
-        halves=share * first.halves + (1 - share) * second.halves,
-        standard_error=np.hypot(share * first.standard_error, (1 - share) * second.standard_error),
-        samples=first.samples + second.samples,
-        _launches=None,
-    )
 
 
 def parts(count: int, most: int) -> list[tuple[int, int]]:

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.fixed_point import require_sums
 from cloudtomo_cl.opencl.layout import STRUCTS
-
-if TYPE_CHECKING:
-    from cloudtomo_cl.transport.radiance import RadianceOperator, Rendering, StoredLaunch
+from cloudtomo_cl.transport.launches import Launch, StoredLaunch
+from cloudtomo_cl.transport.medium import Medium
 
 # Virtual collisions per path. The mean of gradients does not depend on it, their noise and time do: more make cloudy
 # voxels noisier, fewer empty ones (docs/measurements/derivatives.md).
 _COLLISIONS_PER_PATH = 0.1
 # Paths by whose lengths that is set, and the sums' unit: a share of a voxel's shortest edge.
-_PATHS, _UNIT = 1 << 11, 2.0**-20
+FEW_PATHS, _UNIT = 1 << 11, 2.0**-20
 # Paths that are replayed together, of so large a launch at most: each may leave a virtual collision behind. Where
 # launches are larger, as many times as many.
 _PART, _LAUNCH = 1 << 20, 1 << 24
@@ -28,16 +27,15 @@ class VirtualCollisions:
 
     Parameters
     ----------
-    device : where they run
-    features : macros of the scene
+    medium : where they fly
     """
 
-    def __init__(self, device: Device, features: tuple[str, ...]) -> None:
-        self._device, self._features = device, features
+    def __init__(self, medium: Medium) -> None:
+        self._medium, self._device = medium, medium.device
 
     def _kernel(self, file: str, name: str) -> Any:
         """One of its kernels: most operators never replay a path, and need not have them."""
-        return self._device.kernel(file, name, self._features)
+        return self._device.kernel(file, name, self._medium.features)
 
     def run(self, launch: StoredLaunch, **arguments: Any) -> None:
         """Replays the paths of a launch, and walks those from their virtual collisions.
@@ -58,40 +56,39 @@ class VirtualCollisions:
                 kernel = self._kernel("virtual", "virtual_paths")
                 launch.walk(kernel, found, **arguments, virtual_collisions=collisions, count=found)
 
-    def extinction(self, operator: RadianceOperator, rendering: Rendering, limit: float | None) -> Any:
+    def limit(self, extinction: np.ndarray, few: Launch) -> float:
+        """The extinction up to which voxels are filled for a path to meet a tenth of a virtual droplet, km^-1.
+
+        extinction : of the cloud, km^-1, shape of the grid
+        few : about `FEW_PATHS` paths, by whose lengths it is set
+        """
+        mask, lengths = self._medium.mask, self._lengths(few)
+        if mask is not None:
+            lengths = lengths * mask
+        limit = filling_limit(extinction, lengths, _COLLISIONS_PER_PATH)
+        if limit == 0.0:  # these paths have met nothing of the mask; the others may
+            limit = _COLLISIONS_PER_PATH / float(np.linalg.norm(self._medium.scene.grid.extent))
+        return limit
+
+    def extinction(self, extinction: np.ndarray, limit: float) -> DeviceArray:
         """Of the virtual droplets, km^-1, on the device, float32, shape of the grid; -1 outside of the mask.
 
-        Together with the cloud's droplets it is at least `limit` (km^-1) in every voxel; by default so much that a
-        path meets a tenth of a virtual droplet.
+        Together with the cloud's droplets, km^-1, shape of the grid, it is at least `limit` (km^-1) in every voxel.
         """
-        extinction = rendering._medium.extinction.get()
-        if limit is None:
-            lengths = self._lengths(operator, rendering)
-            if operator.mask is not None:
-                lengths = lengths * operator.mask
-            limit = filling_limit(extinction, lengths, _COLLISIONS_PER_PATH)
-            if limit == 0.0:  # these paths have met nothing of the mask; the others may
-                limit = _COLLISIONS_PER_PATH / float(np.linalg.norm(operator.scene.grid.extent))
         virtual = np.maximum(np.float32(limit) - extinction, np.float32(0))
-        if operator.mask is not None:
-            virtual[~operator.mask] = -1
+        if self._medium.mask is not None:
+            virtual[~self._medium.mask] = -1
         return self._device.array(virtual)
 
-    def _lengths(self, operator: RadianceOperator, rendering: Rendering) -> np.ndarray:
+    def _lengths(self, few: Launch) -> np.ndarray:
         """km that a path flies through every voxel, on average over some paths of other random numbers."""
-        count = len(operator.pixels)
-        evenly = np.unique(np.linspace(0, count - 1, min(count, _PATHS)).astype(int))
-        chosen = operator.of_pixels(operator.pixels[evenly])
-        paths = len(evenly) * -(-_PATHS // len(evenly))
-        given = chosen._arguments(rendering._medium, 0, paths, rendering.seed, rendering.stream)
-        # They are few: every rank walks all of them.
-        given |= {"pixels": self._device.constant(chosen.pixels), "pixel_count": len(chosen.pixels)}
-        lengths = self._device.zeros(operator.scene.grid.shape, np.int64)
-        unit = 1.0 / (_UNIT * min(operator.scene.grid.spacing))
-        self._device.launch(self._kernel("lengths", "path_lengths"), paths, **given, unit=unit, lengths=lengths)
+        grid = self._medium.scene.grid
+        lengths = self._device.zeros(grid.shape, np.int64)
+        unit = 1.0 / (_UNIT * min(grid.spacing))
+        few.walk(self._kernel("lengths", "path_lengths"), few.paths, unit=unit, lengths=lengths)
         sums = lengths.get()
         require_sums(sums, "the lengths of paths", "voxel")
-        return sums / (unit * paths)
+        return sums / (unit * few.paths)
 
 
 def filling_limit(extinction: np.ndarray, lengths: np.ndarray, collisions: float) -> float:

@@ -16,7 +16,7 @@ import cloudtomo_cl as ct
 from benchmarks.children import child
 from benchmarks.scenes import generated
 from benchmarks.timing import Line, cpu_seconds, timed
-from cloudtomo_cl.transport.derivatives import RadianceTable
+from cloudtomo_cl.transport.table_gradient import TableGradient
 
 
 def machine() -> str:
@@ -34,20 +34,17 @@ def machine() -> str:
 
 def gradient_over_forward(quick: bool) -> Iterator[Line]:
     """CPU seconds of a gradient over those of the render whose paths it walks again."""
-    import pyopencl.array
-
     case = generated(32, 48)
     operator = ct.RadianceOperator(case.scene, (case.view,), mask=case.extinction > 0)
     adjoint = np.full((len(operator.pixels), 2), 1.0)
-    field = RadianceTable(operator)
-    change = pyopencl.array.zeros(operator.device.queue, operator.scene.grid.shape, np.float32)
+    field = TableGradient(operator)
     samples, repeats = (64, 4) if quick else (256, 8)
     ratios = {"replay": [], "field": []}
     for n in range(repeats + 1):
         rendering, seconds = timed(lambda n=n: operator.render(case.extinction, samples, n, store_paths=True))
         for name, run in (
             ("replay", lambda r=rendering: operator.gradient(r, adjoint).get()),
-            ("field", lambda r=rendering: field.gradient(r, adjoint, change)[0].get()),
+            ("field", lambda r=rendering: field.gradient(r, adjoint)[0].get()),
         ):
             _, gradient_seconds = timed(run)
             if n > 0:  # the first built the kernels

@@ -11,7 +11,7 @@ import cloudtomo_cl as ct
 from benchmarks.mitsuba_peer import Missing, MitsubaScene
 from benchmarks.scenes import Case, generated, scene_c
 from benchmarks.timing import Disagreement, Line, require_agreement, timed
-from cloudtomo_cl.transport.derivatives import RadianceTable
+from cloudtomo_cl.transport.table_gradient import TableGradient
 
 _CASES = {"c": scene_c, "generated": lambda: generated(128)}
 _GOALS = {"forward": "100", "gradient": "250"}
@@ -86,8 +86,7 @@ def gradient(name: str, quick: bool) -> Iterator[Line]:
     mask = case.extinction > 0
     operator = ct.RadianceOperator(case.scene, (case.view,), mask=mask)
     adjoint = np.full((len(operator.pixels), 2), 0.5 / len(operator.pixels))
-    field = RadianceTable(operator)
-    zero = _zeros(operator)
+    field = TableGradient(operator)
 
     def replayed(seed: int) -> np.ndarray:
         rendering = operator.render(case.extinction, ours, seed, store_paths=True)
@@ -95,7 +94,7 @@ def gradient(name: str, quick: bool) -> Iterator[Line]:
 
     def by_field(seed: int) -> np.ndarray:
         rendering = operator.render(case.extinction, ours, seed, store_paths=True)
-        return field.gradient(rendering, adjoint, zero)[0].get()[mask]
+        return field.gradient(rendering, adjoint)[0].get()[mask]
 
     def by_mitsuba(seed: int) -> np.ndarray:
         return peer.gradient(theirs, seed)[1][mask]
@@ -146,9 +145,3 @@ def _along_extinction(operator: ct.RadianceOperator, extinction: np.ndarray, sam
     )
     error = np.sqrt(sum(np.sum(rendering.standard_error**2) for rendering in (more, less))) / pixels
     return float(more.mean.mean() - less.mean.mean()) / (2 * step), float(error) / (2 * step)
-
-
-def _zeros(operator: ct.RadianceOperator) -> object:
-    import pyopencl.array
-
-    return pyopencl.array.zeros(operator.device.queue, operator.scene.grid.shape, np.float32)

@@ -3,15 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
-import pyopencl.array
 import pytest
 from scenes import ABOVE, CAMERA, SCENES, extinction_of
 
 from cloudtomo_cl.errors import AuditError, TransportError
 from cloudtomo_cl.transport.audit import Audit, combined
-from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 from cloudtomo_cl.transport.radiance import RadianceOperator
+from cloudtomo_cl.transport.table_gradient import TableGradient
 
 SOUND = Audit(
     launched=1000, top=0.5, bottom=0.1, sides=0.1, missed=0.0, absorbed=0.2, surface=0.1, killed=0.0,
@@ -68,10 +67,9 @@ def test_paths_that_bring_something_else_when_walked_again_are_caught(device, wa
     rendering = operator.render(extinction_of(scene), 100, store_paths=True)
     walks = {
         "replay": lambda: operator.gradient(rendering, np.ones((9, 2))),
-        "field": lambda: RadianceTable(operator).gradient(rendering, np.ones((9, 2)), nothing),
+        "field": lambda: TableGradient(operator).gradient(rendering, np.ones((9, 2))),
         "jacobian": lambda: JacobianAverage(operator).add(rendering, 1.0),
     }
-    nothing = pyopencl.array.zeros(device.queue, scene.grid.shape, np.float32)
     walks[walk]()
     for _, paths in rendering._launches:
         paths *= np.float32(1.01)

@@ -12,31 +12,32 @@ from cloudtomo_cl.reference.camera_rays import Table, ray_derivative
 from cloudtomo_cl.reference.paths import BLOCKS_PER_EVENT, first_ray
 from cloudtomo_cl.reference.random import uniforms
 from cloudtomo_cl.transport.cells import Cells
-from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.directions import AZIMUTHS, BINS, EDGES
 from cloudtomo_cl.transport.radiance import RadianceOperator
+from cloudtomo_cl.transport.table_builder import RadianceTableBuilder
+from cloudtomo_cl.transport.table_gradient import rays
 
 SEED, STREAM, SAMPLES = 5, 9, 24
 LIT = ("forward peak", "ground", "air, ground, periodic", "air outside, open", "phase table")
 
 
-def on_host(table, shape):
+def on_host(device, table, shape):
     """The reference's table, of one on a device."""
     places = np.empty((shape.sum(), 4), np.uint32)
-    table._operator.device.read(table.buffers["cells"], places)
-    diffuse, sunlight = (table.buffers[name].get() for name in ("diffuse", "sunlight"))
+    device.read(table.cells, places)
+    diffuse, sunlight = table.diffuse.get(), table.sunlight.get()
     scattered, source = np.moveaxis(diffuse.reshape(-1, 2, BINS), 1, 0)
     return Table(shape, places[:, 1:].astype(int), source, scattered, sunlight, EDGES, AZIMUTHS)
 
 
-def of_kernel(operator, table, rendering, change):
+def of_kernel(operator, builder, table, rendering, change):
     """Derivatives of the rays' radiances along a change of the extinction, shape (rays, pixels)."""
     device, pixels, found = operator.device, len(operator.pixels), []
-    left = table.rays(rendering)
+    left, kernel = rays(rendering), device.kernel("derivatives", "gradient_rays", builder.features)
     for launch in operator.stored_launches(rendering):
         along = device.empty(launch.paths, np.float32)
         done = launch.run_rays(
-            table._gradient_rays, pixels, left, **table.buffers, adjoint=device.zeros((pixels, 2), np.float32),
+            kernel, pixels, left, **table.arguments, adjoint=device.zeros((pixels, 2), np.float32),
             change=device.constant(change.astype(np.float32)), gradient=device.zeros(change.shape, np.int64),
             ray_tangent=along, weight=1.0,
         )  # fmt: skip
@@ -54,12 +55,12 @@ def test_rays_have_the_derivatives_of_the_reference(device, random, name, deeper
     mask = (extinction > 0) | (random.random(GRID.shape) > 0.5)
     operator = RadianceOperator(scene, [ABOVE, CAMERA], device, mask=mask)
     rendering = operator.render(extinction, SAMPLES, SEED, STREAM, store_paths=True)
-    table = RadianceTable(operator)
-    table.prepare(rendering)
+    builder = RadianceTableBuilder(operator)
+    table = builder.at(rendering)
     change = random.normal(size=GRID.shape).astype(np.float32)
     found, on_the_host, paths = (
-        of_kernel(operator, table, rendering, change),
-        on_host(table, mask),
+        of_kernel(operator, builder, table, rendering, change),
+        on_host(device, table, mask),
         kernel_paths(rendering),
     )
     expected = np.zeros_like(found)

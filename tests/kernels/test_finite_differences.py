@@ -17,9 +17,9 @@ from cloudtomo_cl.scene.grid import Grid, resample
 from cloudtomo_cl.scene.phase import HenyeyGreenstein
 from cloudtomo_cl.scene.scene import Cloud, Scene, Sun, Surface
 from cloudtomo_cl.scene.sensors import OrthographicView
-from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 from cloudtomo_cl.transport.radiance import RadianceOperator
+from cloudtomo_cl.transport.table_gradient import TableGradient
 
 FINE = Grid(shape=(8, 8, 6), spacing=(0.04, 0.04, 0.05), origin=(0.0, 0.0, 0.1))
 SHAPES = [(2, 2, 2), (4, 4, 3), (8, 8, 6)]
@@ -91,14 +91,13 @@ def test_the_gradient_and_the_jacobian_by_the_table(device, shape):
     """
     scene, values = cloud(shape)
     operator = RadianceOperator(scene, VIEWS, device, mask=np.ones(shape, bool))
-    table, nothing = RadianceTable(operator), pyopencl.array.zeros(device.queue, shape, np.float32)
-    sums, gradients = JacobianAverage(operator), []
+    table, sums, gradients = TableGradient(operator), JacobianAverage(operator), []
     for iteration in range(8):
         rendering = operator.render(values, 600, 3, iteration + 1, store_paths=True)
         if iteration % 2:
             sums.add(rendering, 1 / max(1, iteration // 2))  # the first is not in the average
         else:
-            gradients.append(table.gradient(rendering, np.full((PIXELS, 2), 0.5), nothing)[0].get())
+            gradients.append(table.gradient(rendering, np.full((PIXELS, 2), 0.5))[0].get())
     jacobian, gradient = sums.jacobian, np.mean(gradients[1:], axis=0)
     for name, share in changes(values).items():
         change = share * values

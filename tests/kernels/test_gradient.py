@@ -20,7 +20,8 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import Air, Scene, Sun, Surface
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView
-from cloudtomo_cl.transport.radiance import RadianceOperator, pooled
+from cloudtomo_cl.transport.radiance import RadianceOperator
+from cloudtomo_cl.transport.rendering import pooled
 
 SEED, ITERATION, SAMPLES = 8, 2, 8
 

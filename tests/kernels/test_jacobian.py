@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pyopencl.array as cl_array
 import pytest
 
 import cloudtomo_cl as ct
@@ -12,8 +11,8 @@ from cloudtomo_cl.opencl.fixed_point import overflow
 from cloudtomo_cl.opencl.layout import TILE_WIDTH
 from cloudtomo_cl.scene.scene import Boundary
 from cloudtomo_cl.transport.blocks import pixel_blocks, voxel_blocks
-from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.jacobian_average import JacobianAverage
+from cloudtomo_cl.transport.table_gradient import TableGradient
 from cloudtomo_cl.transport.tiles import about_how_many_entries, lines_of_sight, tiles_of
 
 GRID = ct.Grid(shape=(11, 9, 10), spacing=(0.04, 0.05, 0.03), origin=(0.2, -0.1, 0.3))
@@ -92,9 +91,8 @@ def test_no_derivative_is_lost(extinction, device, horizontal):
     """Sums over all pixels, and over the voxels of each block, are those of the gradient of equal adjoints."""
     scene = replace(SCENE, boundary=Boundary(horizontal=horizontal))
     operator, rendering, sums = prepared(scene, extinction, device)
-    table, pixels = RadianceTable(operator), len(operator.pixels)
-    nothing = cl_array.zeros(device.queue, GRID.shape, np.float32)
-    gradient, _ = table.gradient(rendering, np.full((pixels, 2), 0.5), nothing)
+    table, pixels = TableGradient(operator), len(operator.pixels)
+    gradient, _ = table.gradient(rendering, np.full((pixels, 2), 0.5))
     blocks = sums.structure.voxel_blocks
     expected = np.bincount(blocks.of, gradient.get()[operator.mask])
     found = np.bincount(blocks.of, sums.jacobian.T @ np.ones(pixels))
@@ -110,8 +108,8 @@ def test_each_pixels_near_field_is_its_own(extinction, device):
     for column, row in enumerate(range(0, len(operator.pixels), 40)):
         adjoint = np.zeros((len(operator.pixels), 2))
         adjoint[row] = 0.5
-        table = RadianceTable(operator)
-        gradient, _ = table.gradient(rendering, adjoint, cl_array.zeros(device.queue, GRID.shape, np.float32))
+        table = TableGradient(operator)
+        gradient, _ = table.gradient(rendering, adjoint)
         own = gradient.get()[operator.mask]
         largest = np.abs(own).max()
         np.testing.assert_allclose(jacobian[near[row], column], own[near[row]], atol=1.01 * far + 1e-5 * largest)

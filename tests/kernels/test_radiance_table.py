@@ -4,6 +4,7 @@ What photons bring is unbiased. The table has cells of a voxel and about 0.17 sr
 what is tested is that it is small, and that nothing else is wrong.
 """
 
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -20,10 +21,13 @@ from cloudtomo_cl.scene.pixels import neighbours
 from cloudtomo_cl.scene.scene import Air, Boundary, Cloud, Scene, Sun, Surface
 from cloudtomo_cl.scene.sensors import OrthographicView, RayView
 from cloudtomo_cl.transport.cells import Cells
-from cloudtomo_cl.transport.derivatives import RadianceTable, table_footprint
 from cloudtomo_cl.transport.directions import AZIMUTHS, BINS, EDGES, scattering_matrix
 from cloudtomo_cl.transport.flux import FluxOperator
+from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 from cloudtomo_cl.transport.radiance import RadianceOperator
+from cloudtomo_cl.transport.radiance_table import table_footprint
+from cloudtomo_cl.transport.table_builder import RadianceTableBuilder
+from cloudtomo_cl.transport.table_gradient import TableGradient
 
 GRID = Grid(shape=(5, 5, 5), spacing=(0.05, 0.05, 0.05), origin=(0.0, 0.0, 0.1))
 VIEWS = [OrthographicView(width=0.4, pixels=(6, 6), zenith=zenith, azimuth=40) for zenith in (0, 50)]
@@ -47,12 +51,11 @@ def extinction():
 
 def gradients(operator, values, samples, iterations, adjoint):
     """Mean of the gradients by the field."""
-    field = RadianceTable(operator)
-    nothing = pyopencl.array.zeros(operator.device.queue, GRID.shape, np.float32)
+    field = TableGradient(operator)
     found = []
     for iteration in range(iterations):
         rendering = operator.render(values, samples, 3, iteration + 1, store_paths=True)
-        found.append(field.gradient(rendering, adjoint, nothing)[0].get())
+        found.append(field.gradient(rendering, adjoint)[0].get())
     return np.mean(found, axis=0)
 
 
@@ -91,7 +94,7 @@ def test_the_tangent_is_what_images_change_by(device):
     """Along a growth of the whole cloud by 2 %, pooled over the pixels: within 15 %."""
     scene, values = SCENES["overhead sun"], extinction()
     operator = RadianceOperator(scene, VIEWS, device, mask=values > 0)
-    field, change = RadianceTable(operator), 0.02 * values
+    field, change = TableGradient(operator), 0.02 * values
     on_device = pyopencl.array.to_device(device.queue, change)
     tangents = []
     for iteration in range(4):
@@ -105,11 +108,10 @@ def test_a_table_is_a_function_of_the_rendering(device):
     """Whatever it was made of before: nothing of it is to be stored."""
     scene, values = SCENES["overhead sun"], extinction()
     operator = RadianceOperator(scene, VIEWS, device, mask=values > 0)
-    nothing = pyopencl.array.zeros(device.queue, GRID.shape, np.float32)
     first, second = (operator.render(v, 100, 3, 1, store_paths=True) for v in (2 * values, values))
-    used, fresh = RadianceTable(operator), RadianceTable(operator)
-    used.gradient(first, np.ones((72, 2)), nothing)
-    found, expected = (table.gradient(second, np.ones((72, 2)), nothing)[0].get() for table in (used, fresh))
+    used, fresh = TableGradient(operator), TableGradient(operator)
+    used.gradient(first, np.ones((72, 2)))
+    found, expected = (table.gradient(second, np.ones((72, 2)))[0].get() for table in (used, fresh))
     np.testing.assert_array_equal(found, expected)
     assert found.any()
 
@@ -127,30 +129,51 @@ def test_isotropic_light_scatters_into_isotropic_light(phase_function):
 
 def test_a_field_needs_a_mask(device):
     with pytest.raises(DataError, match="mask"):
-        RadianceTable(RadianceOperator(SCENES["overhead sun"], VIEWS, device))
+        RadianceTableBuilder(RadianceOperator(SCENES["overhead sun"], VIEWS, device))
 
 
 def test_cells_without_memory_are_refused_before_they_are_made(device, monkeypatch):
     """Voxels have a cell each where the table is asked for; a deep cloud's have more."""
     operator = RadianceOperator(SCENES["overhead sun"], VIEWS, device, mask=np.ones(GRID.shape, bool))
-    table = RadianceTable(operator)
+    builder = RadianceTableBuilder(operator)
     rendering = operator.render(4 * extinction(), 2, 1, store_paths=True)
-    table.prepare(rendering)
-    assert table.cells > table.columns
-    there = table_footprint((table.columns + table.cells) // 2)
+    cells = len(builder.at(rendering))
+    assert cells > builder.columns
+    there = table_footprint((builder.columns + cells) // 2)
     monkeypatch.setattr(memory, "free_memory", lambda: there.host + there.device * device.shares_memory)
-    RadianceTable(operator)
-    with pytest.raises(DataError, match=f"{table.cells} voxels and parts of such needs about"):
-        table.prepare(rendering)
+    RadianceTableBuilder(operator)
+    with pytest.raises(DataError, match=f"{cells} voxels and parts of such needs about"):
+        builder.at(rendering)
+
+
+@pytest.mark.parametrize("kind", ["gradient", "derivatives"])
+def test_a_table_is_freed_before_the_next_is_made(device, monkeypatch, kind):
+    """Two at a time would take twice the memory."""
+    operator = RadianceOperator(SCENES["overhead sun"], VIEWS, device, mask=extinction() > 0)
+    rendering = operator.render(extinction(), 2, 1, store_paths=True)
+    made, at = [], RadianceTableBuilder.at
+
+    def alone(builder, rendering):
+        assert all(table() is None for table in made)
+        table = at(builder, rendering)
+        made.append(weakref.ref(table))
+        return table
+
+    monkeypatch.setattr(RadianceTableBuilder, "at", alone)
+    by_table, sums = TableGradient(operator), JacobianAverage(operator)
+    for _ in range(2):
+        by_table.gradient(rendering, np.ones((72, 2))) if kind == "gradient" else sums.add(rendering, 1.0)
+        assert made[-1]() is None
+    assert len(made) == 2
 
 
 def test_more_photons_than_there_are_numbers_are_refused(device):
     """Before any is walked; those that enter are numbered one by one."""
     operator = RadianceOperator(SCENES["oblique, absorbing, ground"], VIEWS, device, mask=np.ones(GRID.shape, bool))
     rendering = operator.render(extinction(), 2, store_paths=True)
-    table = RadianceTable(operator)
+    builder = RadianceTableBuilder(operator)
     with pytest.raises(DataError, match=r"and 8\d{9} that enter the domain: .* use fewer paths per pixel"):
-        table.prepare(replace(rendering, samples=2**27))
+        builder.at(replace(rendering, samples=2**27))
 
 
 def test_neighbours_are_the_pixels_that_touch():
@@ -176,22 +199,21 @@ def test_light_that_changes_inside_of_deep_voxels_is_followed(device, monkeypatc
     where whole voxels miss a third and more."""
     scene, values = SCENES["overhead sun"], (26 * extinction()).astype(np.float32)
     operator = RadianceOperator(scene, VIEWS, device, mask=values > 0)
-    adjoint, nothing = np.full((72, 2), 0.5), pyopencl.array.zeros(device.queue, GRID.shape, np.float32)
-    tables, along = {"divided": RadianceTable(operator), "whole": RadianceTable(operator)}, {"score": []}
+    adjoint, by_table = np.full((72, 2), 0.5), TableGradient(operator)
+    cells, along = ("divided", "whole"), {"score": []}
     for stream in range(8):
         rendering = operator.render(values, 800, 3, stream, store_paths=True)
         along["score"].append(np.sum(values * operator.gradient(rendering, adjoint).get()))
-        for cell, table in tables.items():
+        for cell in cells:
             if cell == "whole" and stream >= 4:
                 continue  # it misses by many of these standard errors
             with monkeypatch.context() as patch:
                 if cell == "whole":
                     patch.setattr("cloudtomo_cl.transport.cells._MOST_PARTS", 1)
-                table.prepare(rendering)
-            found = np.sum(values * table._walk(rendering, adjoint, nothing)[0].get())
+                found = np.sum(values * by_table.gradient(rendering, adjoint)[0].get())
             along.setdefault(cell, []).append(found)
     mean, error = ({cell: of(found) for cell, found in along.items()} for of in (np.mean, stats.sem))
-    for cell in tables:
+    for cell in cells:
         ratio, spread = mean[cell] / mean["score"], np.hypot(error[cell], error["score"]) / mean["score"]
         print(f"{cell}: {ratio:.3f} of the score function's, standard error {spread:.3f}")
         assert (abs(ratio - 1) < 0.1 + 3 * spread) == (cell == "divided"), cell
@@ -209,12 +231,12 @@ LIT = SCENES | {
 def light(operator, values, photons, stream=0, parts=1):
     """Mean diffuse radiance over the sphere that photons bring to the voxels of the mask, sr^-1 for a sun of 1; with
     voxels divided into so many parts along each axis."""
-    table, voxels = RadianceTable(operator), int(operator.mask.sum())
+    builder, voxels = RadianceTableBuilder(operator), int(operator.mask.sum())
     cells = Cells(np.full((voxels, 3), parts, np.int32))
-    places = {"column": table.column, "cells": operator.device.constant(cells.places)}
+    places = {"column": builder.column, "cells": operator.device.constant(cells.places)}
     sums = operator.device.zeros((len(cells), BINS), np.int64)
     medium = operator.on_device(values)
-    unit = table._photons.fill(medium, photons, 6, stream, places, sums)
+    unit = builder._photons.fill(medium, photons, 6, stream, places, sums)
     found = sums.get().reshape(voxels, -1).sum(axis=1)
     return found * unit / np.prod(operator.scene.grid.spacing) / (4 * np.pi)
 
@@ -248,9 +270,7 @@ def test_what_droplets_absorb_is_the_light_that_crosses_them(device):
     values = np.minimum(extinction(), 12).astype(np.float32)
     operator = RadianceOperator(scene, VIEWS, device, mask=values > 0)
     rendering = operator.render(values, 2, store_paths=True)
-    table = RadianceTable(operator)
-    table.prepare(rendering)
-    direct = table._sunlight.get() / 0.8  # of whole voxels
+    direct = RadianceTableBuilder(operator).at(rendering).sunlight.get() / 0.8  # of whole voxels
     assert len(direct) == (values > 0).sum()
     weight = values[values > 0] * 0.2 * np.prod(GRID.spacing) / np.prod(GRID.extent[:2])
     diffuse = [np.sum(weight * 4 * np.pi * light(operator, values, 20_000, stream)) for stream in range(12)]

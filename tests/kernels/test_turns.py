@@ -10,8 +10,8 @@ import cloudtomo_cl as ct
 from cloudtomo_cl.opencl import device as device_module
 from cloudtomo_cl.opencl.device import choose_device
 from cloudtomo_cl.transport.audit import Budget
-from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.jacobian_average import JacobianAverage
+from cloudtomo_cl.transport.table_gradient import TableGradient
 
 SAMPLES = 500
 CHOSEN = ["forward peak", "air, ground, periodic", "phase table"]
@@ -67,7 +67,7 @@ def derivatives(operator, extinction):
     sums = JacobianAverage(operator)
     sums.add(rendering, 1.0)
     change = operator.device.array(np.full(extinction.shape, 0.5, np.float32))
-    by_table, tangent = RadianceTable(operator).gradient(rendering, adjoint, change)
+    by_table, tangent = TableGradient(operator).gradient(rendering, adjoint, change)
     return [
         operator.gradient(rendering, adjoint).get(), by_table.get(), tangent, sums.jacobian @ np.ones(extinction.size)
     ]  # fmt: skip

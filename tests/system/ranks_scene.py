@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.jacobian_average import JacobianAverage
+from cloudtomo_cl.transport.table_builder import RadianceTableBuilder
+from cloudtomo_cl.transport.table_gradient import TableGradient
 
 GRID = ct.Grid(shape=(6, 6, 5), spacing=(0.1, 0.1, 0.1))
 SCENE = ct.Scene(grid=GRID, sun=ct.Sun(zenith=30.0))
@@ -57,12 +58,13 @@ def derivatives(device):
     operator = ct.RadianceOperator(SCENE, VIEWS, device, mask=mask)
     random, values = np.random.default_rng(5), np.where(mask, extinction(), 0)
     rendering = operator.render(values, 8, seed=1, store_paths=True)
-    table = RadianceTable(operator)
+    by_table = TableGradient(operator)
     change = device.array(np.where(mask, random.normal(size=mask.shape), 0).astype(np.float32))
     adjoint = random.normal(size=(len(operator.pixels), 2))
     for turn in range(2):
-        yield f"table gradient {turn}", digest(*table.gradient(rendering, adjoint, change))
-    yield "table", digest(table._diffuse, table._sunlight)
+        yield f"table gradient {turn}", digest(*by_table.gradient(rendering, adjoint, change))
+    table = RadianceTableBuilder(operator).at(rendering)
+    yield "table", digest(table.diffuse, table.sunlight)
     sums = JacobianAverage(operator)
     sums.add(rendering, 1.0)
     sums.add(operator.render(values / 2, 4, seed=1, stream=2, store_paths=True), 0.5)

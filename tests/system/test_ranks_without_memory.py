@@ -6,8 +6,8 @@ from ranks_scene import GRID, RING, SCENE, extinction
 
 import cloudtomo_cl as ct
 from cloudtomo_cl.opencl.several import on_devices
-from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.jacobian_average import JacobianAverage
+from cloudtomo_cl.transport.table_gradient import TableGradient
 
 ADJOINT = np.ones((63 * len(RING), 2))
 MASK = np.ones(GRID.shape, bool)
@@ -31,7 +31,7 @@ def by_replay(operator):
 
 
 def by_table(operator):
-    table, rendering = RadianceTable(operator), stored(operator)
+    table, rendering = TableGradient(operator), stored(operator)
     change = operator.device.zeros(GRID.shape, np.float32)
     return lambda: table.gradient(rendering, ADJOINT, change)
 

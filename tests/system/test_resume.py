@@ -13,8 +13,8 @@ import pytest
 import cloudtomo_cl as ct
 from cloudtomo_cl.commands.cli import main
 from cloudtomo_cl.errors import DataError, DeviceError, TransportError
-from cloudtomo_cl.transport.derivatives import RadianceTable
 from cloudtomo_cl.transport.jacobian_average import JacobianAverage
+from cloudtomo_cl.transport.table_gradient import TableGradient
 
 STAGES = (
     ct.Stage(grid=(3, 3, 3), pixels=0.5, samples=8, iterations=3),
@@ -298,7 +298,7 @@ def test_a_resume_that_cannot_be_touches_nothing(folder, finished, capsys, chang
 
 
 def test_a_gradient_that_is_no_number_names_its_voxel(problem, device, monkeypatch):
-    original = RadianceTable.gradient
+    original = TableGradient.gradient
 
     def spoilt(self, *arguments):
         values, tangent = original(self, *arguments)
@@ -307,7 +307,7 @@ def test_a_gradient_that_is_no_number_names_its_voxel(problem, device, monkeypat
         values.set(host)
         return values, tangent
 
-    monkeypatch.setattr(RadianceTable, "gradient", spoilt)
+    monkeypatch.setattr(TableGradient, "gradient", spoilt)
     with pytest.raises(TransportError, match=r"gradient is not finite at voxel \(1, 2, 0\).*stream 1"):
         recover(problem, device, solver=ct.Adam())
 

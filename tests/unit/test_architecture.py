@@ -119,15 +119,12 @@ def test_a_package_is_known_only_where_it_is_dealt_with(package):
 
 
 def test_no_module_imports_itself_by_others():
-    """At import: what functions import when they are called is not counted."""
+    """Imports for types alone, and those of functions when they are called, are counted."""
     graph = {module(path): set() for path in PACKAGE if path.suffix == ".py"}
     for path in PACKAGE:
         if path.suffix == ".py" and path.stem not in FACE:
-            outside = [node for node in tree(path).body if isinstance(node, (ast.Import, ast.ImportFrom))]
-            for node in outside:
-                named = getattr(node, "module", None) or ""
-                parts = [f"{named}.{alias.name}" for alias in node.names] + [named]
-                graph[module(path)] |= {part for part in parts if part in graph}
+            parts = {part for other in imports(path) for part in (other, other.rpartition(".")[0])}
+            graph[module(path)] |= parts & graph.keys()
     done = set()
     while ready := {one for one, needed in graph.items() if one not in done and needed <= done}:
         done |= ready

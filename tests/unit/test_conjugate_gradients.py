@@ -5,7 +5,8 @@ import pytest
 from scipy.optimize import lsq_linear, minimize
 
 from cloudtomo_cl.inversion.conjugate_gradients import minimised
-from cloudtomo_cl.inversion.terms import Around, HostTerm, term_of
+from cloudtomo_cl.inversion.prior_terms import HostTerm, term_of
+from cloudtomo_cl.inversion.terms import Around
 from cloudtomo_cl.inversion.vectors import PARTS, Vectors
 from cloudtomo_cl.opencl.layout import STRUCTS
 

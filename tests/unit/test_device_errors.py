@@ -11,6 +11,7 @@ import cloudtomo_cl as ct
 from cloudtomo_cl.errors import BuildError, DeviceError, TransportError
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors, kernels_folder, list_devices
 from cloudtomo_cl.opencl.layout import STRUCTS
+from cloudtomo_cl.transport.samples import Samples
 
 GRID = ct.Grid(shape=(2, 2, 2), spacing=(0.2, 0.2, 0.2))
 SCENE = ct.Scene(grid=GRID, sun=ct.Sun(zenith=30.0))
@@ -202,4 +203,4 @@ def test_one_pixel_that_is_not_finite_is_named():
         device=SimpleNamespace(read=lambda given, host: host.__setitem__(slice(None), given)),
     )
     with pytest.raises(TransportError, match="not finite in view 1, pixel 5"):
-        ct.RadianceOperator._rendering(operator, sums, 4, 0, 0, None, None, [])
+        ct.RadianceOperator._rendering(operator, sums, Samples(4, 0, 0, 0), None, None, [])

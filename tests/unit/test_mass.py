@@ -8,9 +8,10 @@ from scipy.optimize import lsq_linear
 import cloudtomo_cl as ct
 from cloudtomo_cl.inversion.conjugate_gradients import minimised
 from cloudtomo_cl.inversion.mass import PAIRS, is_due, share_that_keeps_mass
+from cloudtomo_cl.inversion.noise_units import NoiseUnits
+from cloudtomo_cl.inversion.prior_terms import term_of
 from cloudtomo_cl.inversion.priors import PatchPrior, Prior, stage_prior
-from cloudtomo_cl.inversion.stage_prior import NoiseUnits
-from cloudtomo_cl.inversion.terms import Around, term_of
+from cloudtomo_cl.inversion.terms import Around
 
 PIXELS = 400
 DEVIATION = 100.0

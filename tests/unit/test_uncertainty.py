@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from dense_term import DenseTerm
 
+from cloudtomo_cl.inversion.noise_units import NoiseUnits
 from cloudtomo_cl.inversion.noisy_model import NoisyModel
+from cloudtomo_cl.inversion.prior_terms import hessian_of
 from cloudtomo_cl.inversion.priors import roughness
-from cloudtomo_cl.inversion.stage_prior import NoiseUnits
-from cloudtomo_cl.inversion.terms import hessian_of
 from cloudtomo_cl.inversion.uncertainty import WIDENED, standard_errors, widening
 from cloudtomo_cl.reference.prior import smoothness_matrix
 

@@ -20,8 +20,9 @@ from cloudtomo_cl.opencl.device import Device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import Count
 from cloudtomo_cl.scene.scene import NotNegative, Positive
-from cloudtomo_cl.transport.derivatives import RadianceTable, table_footprint, table_growth
-from cloudtomo_cl.transport.radiance import Rendering
+from cloudtomo_cl.transport.radiance_table import table_footprint, table_growth
+from cloudtomo_cl.transport.rendering import Rendering
+from cloudtomo_cl.transport.table_gradient import TableGradient
 
 PATHS_PER_ITERATION = 60_000
 Decay = Annotated[float, Field(ge=0, lt=1)]
@@ -39,7 +40,7 @@ class DescentState:
     first_moment, second_moment : of the gradient; Adam's only
     steps : done so far
     image : the averaged modelled image
-    table : the radiance table that gradients are taken by; none with replay. It keeps nothing
+    by_table : gradients by the radiance table; none with replay. It keeps nothing
     """
 
     extinction: np.ndarray
@@ -49,7 +50,7 @@ class DescentState:
     second_moment: np.ndarray
     steps: int
     image: AveragedImage
-    table: RadianceTable | None = not_saved(default=None)
+    by_table: TableGradient | None = not_saved(default=None)
 
 
 @answering
@@ -108,8 +109,8 @@ class _Descent:
         start = np.maximum(np.asarray(extinction, np.float32), np.float32(self.floor))
         nothing = np.zeros_like(start)
         image = AveragedImage.empty(len(problem.active))
-        table = RadianceTable(problem.operator) if self.gradient == "adjoint" else None
-        return DescentState(start, start, start, nothing, nothing, 0, image, table)
+        by_table = TableGradient(problem.operator) if self.gradient == "adjoint" else None
+        return DescentState(start, start, start, nothing, nothing, 0, image, by_table)
 
     @with_one_blas_thread
     def step(self, problem: Problem, state: DescentState, *, seed: int, stream: int) -> tuple[DescentState, Progress]:
@@ -144,10 +145,10 @@ class _Descent:
         self, problem: Problem, state: DescentState, rendering: Rendering, adjoint: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """Of the data term, and what the last step changed radiances by, if the table tells."""
-        if state.table is None:
+        if state.by_table is None:
             return problem.operator.gradient(rendering, adjoint).get()[problem.mask], None
         change = problem.operator.device.array(problem.on_grid(state.extinction - state.before))
-        gradient, tangent = state.table.gradient(rendering, adjoint, change)
+        gradient, tangent = state.by_table.gradient(rendering, adjoint, change)
         return gradient.get()[problem.mask], tangent
 
     @device_errors("the descent's step")

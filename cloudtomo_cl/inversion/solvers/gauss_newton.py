@@ -21,21 +21,22 @@ from cloudtomo_cl.inversion.mass import PAIRS, is_due, share_that_keeps_mass
 from cloudtomo_cl.inversion.noisy_model import NoisyModel
 from cloudtomo_cl.inversion.objective import cost_of_independent, error_beyond_noise, noise_of, variance_of_half
 from cloudtomo_cl.inversion.patch_operator import stencil_footprint
+from cloudtomo_cl.inversion.prior_terms import hessian_of
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
 from cloudtomo_cl.inversion.solvers.state import not_saved, of_any_length
 from cloudtomo_cl.inversion.stage_prior import FrozenPrior
-from cloudtomo_cl.inversion.terms import Around, hessian_of
+from cloudtomo_cl.inversion.terms import Around
 from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, beyond_noise, standard_errors, widening
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import Count, Grid
 from cloudtomo_cl.scene.scene import NotNegative, Positive
-from cloudtomo_cl.transport.derivatives import table_footprint, table_growth
 from cloudtomo_cl.transport.jacobian import Jacobian, jacobian_footprint
 from cloudtomo_cl.transport.jacobian_average import JacobianAverage
-from cloudtomo_cl.transport.radiance import Rendering, pooled
+from cloudtomo_cl.transport.radiance_table import table_footprint, table_growth
+from cloudtomo_cl.transport.rendering import Rendering, pooled
 
 _LOGGER = logging.getLogger(__name__)
 # Misfit, in that of noise alone, from which on derivatives are taken at their word: steps may then be annealed.
