@@ -71,7 +71,7 @@ class _Descent:
     step_size : length of a step in the parametrisation (Adam); factor of the gradient (SGD)
     step_half_life : iterations of a stage after which the step is half of what it began with
         (step_size / (1 + iteration / step_half_life)); none: constant
-    iterate_average_window : number of iterations over which the extinction is averaged for the estimate
+    iterate_average_window : approximate number of iterations in the running mean of the extinction, the estimate
     image_average_window : number of iterations over which modelled images are averaged for the residual; 1: each half
         of an iteration's paths is used with the other half's residual. With gradient "adjoint" the images are carried
         along with the extinction; with "replay" they lag behind, and 20 is better
