@@ -1,5 +1,5 @@
-/* Light that arrives from around an open domain, where surface and air go on for ever: what photons of the radiance
- * table that start where it enters (photons.cl) stand for. */
+/* Light that enters an open domain from its surroundings, where surface and air go on without end: the weights of
+ * photons of the radiance table that start on the domain's faces (photons.cl). */
 #include "box.h"
 #include "walk/camera.h"
 
@@ -14,7 +14,7 @@ inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalE
 #include "walk/unbudgeted.h"
 #include "walk/radiance.h"
 
-/* Diffuse light along rays into a box, by a path against each; times `unit`. */
+/* Diffuse radiance along rays into a box, by one path in the opposite direction for each ray; times `unit`. */
 __kernel void arriving_diffuse(ARRIVING_DIFFUSE_PARAMETERS)
 {
     KEPT_FOR_ITEM(SampleKey, key);
@@ -32,7 +32,7 @@ __kernel void arriving_diffuse(ARRIVING_DIFFUSE_PARAMETERS)
     weights[item] = unit * tally.radiance;
 }
 
-/* Direct sunlight along the rays of the sun's view, where they enter the domain: what air above and beside leaves. */
+/* Direct sunlight along the rays of the sun's view where they enter the domain: the transmittance of the air before. */
 __kernel void arriving_sunlight(ARRIVING_SUNLIGHT_PARAMETERS)
 {
     const size_t item = get_global_id(0);

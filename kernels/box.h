@@ -1,4 +1,4 @@
-/* Starts of photons on the faces of a box around the cloud, through which light from outside of it arrives. */
+/* Starts of photons on the faces of a box around the cloud, for light that enters from outside. */
 #ifndef CLOUDTOMO_BOX_H
 #define CLOUDTOMO_BOX_H
 

@@ -1,18 +1,18 @@
-/* Derivatives along the first flights of paths from cameras: by the source function along their rays.
+/* Derivatives along the first flights of paths from cameras, by the source function along their rays.
  *
- * All light of a pixel comes along its ray, and what a table has of it in the ray's own bin of directions is noisy.
- * Its source function is not, for droplets scatter from many bins. So along rays from the cameras the radiance is what
- * the source function before it sends, with what the table has for the radiance where the ray is left:
+ * All light of a pixel comes along its ray, and the table's radiance in the single bin of this direction is noisy. Its
+ * source function is not, since droplets scatter from many bins. So along rays from cameras the radiance is integrated
+ * from the source function ahead, and the table's radiance is taken only where the ray is left:
  *
  *     R = sum over the cells of c_k S_k (exp(-t_{k-1}) - exp(-t_k)) + exp(-t_n) radiance,
  *
- * with t the optical depth of droplets and air from the camera on to a cell's end, and c the droplets' share of it. A
- * little more of droplets in cell k, l km long, changes that by l (S_k exp(-t_k) - R_{>k}), R_{>k} being what comes from
- * behind the cell. Of what air and ground send the table has no source. It is in the sample's own path: where its first
- * flight ends in them, its radiance comes from there, and counts for the cells before.
+ * with t the optical depth of droplets and air from the camera to a cell's end, and c the droplets' share of it. A
+ * little more extinction of droplets in cell k, l km long, changes R by l (S_k exp(-t_k) - R_{>k}), where R_{>k} comes
+ * from behind the cell. The table has no source function of air and ground. Their light is in the sample's path: if its
+ * first flight ends in them, its radiance comes from there, and counts for the cells before.
  *
- * A first traversal sums up R, a second one deposits. Up to EXPECTED_DEPTH all counts in full; from there on flights
- * end as those of paths do, and what they bring counts for those that have ended.
+ * A first traversal sums up R, a second one deposits derivatives. Up to EXPECTED_DEPTH everything counts in full;
+ * beyond it flights end at random as those of paths do, and those that go on also count for those that ended.
  *
  * The including file defines what derivatives.h says. */
 #ifndef CLOUDTOMO_CAMERA_RAYS_H
@@ -21,23 +21,23 @@
 #include "radiance_table.h"
 #include "walk/path.h"
 
-/* Optical depths: up to which flights do not end; beyond their end, up to which light is followed. */
+/* Optical depths: flights do not end before the first; light is followed up to the second behind a flight's end. */
 #define EXPECTED_DEPTH 2.0f
 #define DEPTH_BEHIND 2.0f
 
 typedef struct {
     const RadianceTable *table;
-    float sun_density; /* of scattering by droplets from the sun into the ray, sr^-1 */
-    int bin;
-    float transmittance; /* so far */
-    float radiance;      /* of the cells so far */
-    float total;         /* R, without what comes from air and ground */
-    float u_particle;    /* uniform number, by which the path's first particle is chosen */
-    float reach;         /* optical depth, where its first flight ends */
-    float from_others;   /* what comes from there, if no droplet is met */
-    uint last;           /* cell */
-    bool any;            /* whether there has been one */
-    bool meets_droplet;  /* the path, first */
+    float sun_density;   /* density of scattering by droplets from the sun into the ray, sr^-1 */
+    int bin;             /* bin of the ray's direction */
+    float transmittance; /* from the camera to the present point */
+    float radiance;      /* part of R from the cells so far */
+    float total;         /* R without the light from air and ground */
+    float u_particle;    /* uniform number that chooses the path's first particle */
+    float reach;         /* optical depth at which the path's first flight ends */
+    float from_others;   /* radiance from there if the path meets no droplet there */
+    uint last;           /* last cell of the table that was crossed */
+    bool any;            /* whether a cell was crossed */
+    bool meets_droplet;  /* whether the path's first particle is a droplet */
 } CameraRay;
 
 inline float ray_source(const CameraRay *own, uint cell, float sunlight)
@@ -45,12 +45,12 @@ inline float ray_source(const CameraRay *own, uint cell, float sunlight)
     return diffuse_source(own->table, cell, own->bin) + own->sun_density * sunlight * own->table->sunlight[cell];
 }
 
-/* Steps that cells are crossed in: sunlight changes in them. */
+/* Cells are crossed in steps of at most this optical depth of droplets, since sunlight changes within a cell. */
 #define STEP_DEPTH 0.3f
 #define MOST_STEPS 8.0f
 inline float steps_of(float depth) { return within(ceil(depth / STEP_DEPTH), 1.0f, MOST_STEPS); }
 
-/* Across `length` km of a cell. */
+/* Crosses `length` km of a cell. */
 inline void cross_part(float length, float source, float extinction, CameraRay *own)
 {
     const float left = own->transmittance * exponential(-extinction * length);
@@ -58,14 +58,15 @@ inline void cross_part(float length, float source, float extinction, CameraRay *
     own->transmittance = left;
 }
 
-/* Mean of exp(greater(t - EXPECTED_DEPTH, 0)) over the depths from a to b: flights that have got so far, for all. */
+/* About the mean of exp(greater(t - EXPECTED_DEPTH, 0)) for depths t from a to b: one over the share of flights that
+ * get there. */
 inline float all_flights(float a, float b)
 {
     const float from = greater(a - EXPECTED_DEPTH, 0.0f), until = greater(b - EXPECTED_DEPTH, 0.0f);
     return growth(0.5f * (from + until));
 }
 
-/* Across a cell; returns what is deposited there. */
+/* Crosses a cell; returns the derivative to be deposited there. */
 inline float cross_cell(uint cell, float from, float length, const SunlightWalk *sun, float droplets, float extinction,
                         float depth, CameraRay *own)
 {
@@ -77,7 +78,8 @@ inline float cross_cell(uint cell, float from, float length, const SunlightWalk 
         cross_part(step, share * source, extinction, own);
         const float next = depth + extinction * step;
         const float change = source * own->transmittance - (own->total - own->radiance);
-        const float from_others = own->reach > next ? own->from_others : 0.0f; /* only if the flight has got so far */
+        const float from_others =
+            own->reach > next ? own->from_others : 0.0f; /* only if the path's flight gets that far */
         sum += step * (change * all_flights(depth, next) - from_others);
         depth = next;
     }
@@ -86,7 +88,7 @@ inline float cross_cell(uint cell, float from, float length, const SunlightWalk 
     return sum;
 }
 
-/* Across a voxel. `depth`: of droplets and air, where the crossing begins; `extinction`: of both */
+/* Crosses a voxel. `depth`: optical depth where the crossing begins; `extinction`: of droplets and air together. */
 inline float cross_voxel(const __constant Scene *scene, const Ray *ray, const VoxelWalk *walk, float length,
                          float droplets, float extinction, float depth, CameraRay *own)
 {
@@ -132,7 +134,7 @@ inline void deposit_along_ray(const __constant Scene *scene, const Ray *ray, con
     deposit_along_ray(scene, ray, &walk, length, droplets, extinction, flight.depth, own, tally)
 #include "walk/traversal.h"
 
-/* What droplets send from behind all cells, as the camera sees it. */
+/* Light of droplets behind all cells, as the camera sees it. */
 inline float radiance_behind(const Flight *flight, const CameraRay *own)
 {
     if (!flight->collided && !flight->lost)
@@ -141,7 +143,7 @@ inline float radiance_behind(const Flight *flight, const CameraRay *own)
     return own->transmittance * (source - scattered_less_radiance(own->table, own->last, own->bin));
 }
 
-/* Derivatives of a pixel's radiance by the ray of one sample, whose path has brought `path_radiance`. */
+/* Deposits derivatives of a pixel's radiance along a sample's ray; the sample's path has the given radiance. */
 inline void deposit_camera_ray(const Medium *medium, const RadianceTable *table, const Ray *from,
                                const KEPT SampleKey *key, float path_radiance, Tally *tally)
 {
@@ -156,7 +158,7 @@ inline void deposit_camera_ray(const Medium *medium, const RadianceTable *table,
     own.last = 0u;
     own.any = false;
     own.meets_droplet = false;
-    const float2 u = event_uniforms(key, 1u, BLOCK_EVENT).xy; /* of the sample's path, as in walk/path.h */
+    const float2 u = event_uniforms(key, 1u, BLOCK_EVENT).xy; /* those of the sample's path, as in walk/path.h */
     own.reach = -logarithm(u.x);
     own.u_particle = u.y;
     Ray ray = *from;

@@ -1,4 +1,4 @@
-/* The gradient of a cost by the radiance table (derivatives.h), and what is needed to make the table. */
+/* The gradient of a cost by the radiance table (derivatives.h), and the table's direct sunlight. */
 #include "radiance_table.h"
 #include "walk/accumulate.h"
 #include "walk/turns.h"
@@ -9,7 +9,7 @@ typedef struct {
     RadianceTable table;
     float adjoint; /* derivative of the cost with respect to this path's radiance, scaled */
     volatile __global Accumulator *gradient;
-    const __global float *change; /* of extinction, km^-1, [x][y][z] */
+    const __global float *change; /* change of the extinction, km^-1, [x][y][z] */
     float tangent;                /* derivative of the path's radiance along `change`, sr^-1 */
 } Tally;
 
@@ -23,7 +23,8 @@ inline void tally_derivative(int index, int column, float derivative, Tally *tal
 #include "derivatives.h"
 #include "camera_rays.h"
 
-/* As replay_paths, and the path's derivative along a change; nothing is added to the gradient where the adjoint is 0. */
+/* Replays paths for the gradient and for each path's derivative along a change. Where the adjoint is 0 nothing is added
+ * to the gradient. */
 __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
 {
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
@@ -61,8 +62,8 @@ __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
     }
 }
 
-/* The same for the first flights, by the rays of each pixel's first `ray_count` samples in the launch; `weight`: paths for
- * each of them. */
+/* The same for first flights, along the rays of each pixel's first `ray_count` samples in the launch; `weight`: number
+ * of paths that each ray stands for. */
 __kernel void gradient_rays(GRADIENT_RAYS_PARAMETERS)
 {
     const size_t item = get_global_id(0);
@@ -85,7 +86,7 @@ __kernel void gradient_rays(GRADIENT_RAYS_PARAMETERS)
     ray_tangent[n * pixel_count + pixel_in_list] = weight * tally.tangent;
 }
 
-/* Direct sunlight in the table's cells, the mean of 2 x 2 x 2 points of the Gauss-Legendre rule. */
+/* Direct sunlight in the table's cells: the mean over 2 x 2 x 2 points of the Gauss-Legendre rule. */
 __kernel void direct_sunlight(DIRECT_SUNLIGHT_PARAMETERS)
 {
     const size_t cell = get_global_id(0);

@@ -1,12 +1,11 @@
-/* Derivatives by the radiance table: no collisions, no 1 / extinction.
+/* Derivatives by the radiance table: without collisions and without 1 / extinction.
  *
- * A little more of droplets at a point takes from the light that passes there, and scatters into its
- * direction what comes from elsewhere. So along every flight of a path of throughput w, a crossing of
- * l km in direction d adds w l (source(d) - radiance(d)) to the derivative of the pixel, with the
- * source function that droplets there would have, and the way to the sun adds -l times the local
- * estimate. Source and radiance come from the table, which photons from the sun have filled (photons.cl). So one
- * path has the mean of all light that shines where it goes, and little noise; the table's cells are what biases it
- * (docs/explanation/derivatives.md).
+ * A little more extinction of droplets at a point weakens the light that passes there, and scatters light from other
+ * directions into its direction. So along every flight of a path of throughput w, a crossing of l km in direction d
+ * adds w l (source(d) - radiance(d)) to the pixel's derivative, with the source function of droplets there; and the
+ * shadow ray to the sun adds -l times the local estimate. Source and radiance come from the table, which photons from
+ * the sun have filled (photons.cl). So each path uses the mean of all light along its way, which has little noise; the
+ * size of the table's cells is the source of bias (docs/explanation/derivatives.md).
  *
  * The including file defines, before it includes this, the struct `Tally` with at least the members of
  * walk/radiance.h and
@@ -14,7 +13,8 @@
  *   float total;          the whole path's radiance, sr^-1
  *   RadianceTable table;
  *
- * and what is done with a derivative of the path's radiance (sr^-1 km), by a voxel and its column of the table:
+ * and a function that takes a derivative of the path's radiance (sr^-1 km) by a voxel, given by its index and its
+ * column of the table:
  *
  *   void tally_derivative(int index, int column, float derivative, Tally *tally)
  */
@@ -26,14 +26,14 @@
 #include "walk/estimate.h"
 #include "walk/replayed.h"
 
-/* What a flight deposits. */
+/* The quantities of a flight that its deposits need. */
 typedef struct {
-    float throughput;  /* with which the flight's radiance counts in the pixel: of the path, times the flight's share */
-    float sun_density; /* of scattering by droplets from the sun into the flight, sr^-1 */
-    int bin;           /* of its direction */
+    float throughput;  /* factor of the flight's radiance in the pixel: path's throughput times flight's share */
+    float sun_density; /* density of scattering by droplets from the sun into the flight, sr^-1 */
+    int bin;           /* bin of the flight's direction */
 } Payload;
 
-/* What more droplets in a cell would send along a flight, less what they would take, sr^-1. */
+/* Source function minus radiance along a flight in a cell, direct sunlight included, sr^-1. */
 inline float cell_source(const RadianceTable *table, uint cell, float sunlight, Payload payload)
 {
     return scattered_less_radiance(table, cell, payload.bin) + payload.sun_density * sunlight * table->sunlight[cell];
@@ -48,7 +48,7 @@ inline void deposit_crossing(const __constant Scene *scene, const Ray *ray, cons
         return;
     const uint4 cells = table->cells[column];
     const SunlightWalk sun = walk_sunlight(scene, ray, walk->distance, length, droplets);
-    float sources = 0.0f; /* times their lengths */
+    float sources = 0.0f; /* sum over cells of source minus radiance, times length */
     if (is_whole(cells)) {
         sources = length * cell_source(table, cells.x, mean_sunlight(&sun, 0.0f, length), payload);
     } else {
@@ -67,7 +67,7 @@ inline void deposit_crossing(const __constant Scene *scene, const Ray *ray, cons
 #define CROSSES(index, length) deposit_crossing(scene, ray, &walk, length, droplets, payload, tally)
 #include "walk/traversal.h"
 
-/* Where a shadow ray takes from a local estimate. */
+/* Deposits the derivative of a local estimate by a voxel that its shadow ray crosses. */
 inline void deposit_shadow(int index, float length, float radiance, Tally *tally)
 {
     const int column = tally->table.column[index];

@@ -1,4 +1,4 @@
-/* Fluxes: every work item follows one photon from the sun, and tallies what it leaves behind by column. */
+/* Fluxes: follows photons from the sun, and adds up their weights in the columns of the grid. */
 #include "walk/budget.h"
 #include "walk/camera.h"
 #include "walk/event.h"
@@ -6,7 +6,7 @@
 
 typedef struct {
     KEPT Budget *budget;
-    BudgetSums sums;                        /* of all photons' budgets */
+    BudgetSums sums;                        /* sums of all photons' budgets */
     volatile __global Accumulator *columns; /* weights, [Flux][x][y] */
 } Tally;
 

@@ -1,4 +1,4 @@
-/* Radiances: every work item walks one path; then every pixel sums its paths in order. */
+/* Radiances: paths are walked, each by one work item; then every pixel sums its paths in order. */
 #include "walk/budget.h"
 #include "walk/event.h"
 #include "walk/turns.h"
@@ -6,7 +6,7 @@
 typedef struct {
     float radiance, own_share; /* of radiance.h */
     KEPT Budget *budget;
-    BudgetSums sums; /* of all paths' budgets */
+    BudgetSums sums; /* sums of all paths' budgets */
 } Tally;
 
 #include "walk/untallied.h"
@@ -33,7 +33,7 @@ inline void on_termination(Termination termination, float throughput, Tally *tal
 
 #include "walk/radiance.h"
 
-/* Path `sample_in_launch * pixel_count + pixel`: its radiance, for a sun of irradiance 1. */
+/* The radiance of path number `sample_in_launch * pixel_count + pixel`, for a sun of irradiance 1. */
 __kernel void render_paths(RENDER_PATHS_PARAMETERS)
 {
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
@@ -67,8 +67,8 @@ __kernel void render_paths(RENDER_PATHS_PARAMETERS)
 }
 
 /* Adds paths of a launch, samples `begin` to `end` of it, to the pixels' sums, even and odd samples
- * apart. Each pixel is summed by one work item in the order of its samples: the same bits however
- * launches are cut. */
+ * separately. One work item sums each pixel in the order of its samples: the result has the same
+ * bits however launches are divided. */
 __kernel void sum_paths(SUM_PATHS_PARAMETERS)
 {
     const size_t pixel = get_global_id(0);

@@ -1,5 +1,5 @@
-/* The derivatives of every pixel with respect to every voxel, by the radiance table (derivatives.h): near its line of
- * sight one by one, elsewhere by blocks of pixels and voxels. */
+/* The derivatives of every pixel with respect to every voxel, by the radiance table (derivatives.h): for voxels near
+ * the pixel's line of sight one by one, for the others by blocks of pixels and voxels. */
 #include "near_field.h"
 #include "radiance_table.h"
 #include "walk/accumulate.h"
@@ -9,13 +9,13 @@ typedef struct {
     float radiance, own_share; /* of walk/radiance.h */
     float total;
     RadianceTable table;
-    float weight; /* with which a derivative counts: paths that it stands for */
+    float weight; /* factor of a derivative: number of paths that it stands for */
     const __constant Scene *scene;
     const __global Tile *tile;
-    const __global ushort4 *place;       /* of every column: voxel */
-    const __global int *block;           /* of every column */
-    volatile __global Accumulator *near; /* [slot]: the pixel's, units of DERIVATIVE_UNIT per sr^-1 km */
-    volatile __global Accumulator *far;  /* [block]: the pixel block's */
+    const __global ushort4 *place;       /* [column]: voxel */
+    const __global int *block;           /* [column]: block of voxels */
+    volatile __global Accumulator *near; /* [slot] of the pixel: DERIVATIVE_UNIT units per sr^-1 km */
+    volatile __global Accumulator *far;  /* [block] of the pixel's block, same units */
 } Tally;
 
 inline void tally_derivative(int index, int column, float derivative, Tally *tally)
@@ -28,8 +28,8 @@ inline void tally_derivative(int index, int column, float derivative, Tally *tal
 #include "derivatives.h"
 #include "camera_rays.h"
 
-/* The same for the first flights, by the rays of each pixel's first `ray_count` samples in the launch; `weight`: paths for
- * each of them. */
+/* Sums for first flights, along the rays of each pixel's first `ray_count` samples in the launch; `weight`: number of
+ * paths that each ray stands for. */
 __kernel void jacobian_rays(JACOBIAN_RAYS_PARAMETERS)
 {
     const size_t item = get_global_id(0);
@@ -54,7 +54,7 @@ __kernel void jacobian_rays(JACOBIAN_RAYS_PARAMETERS)
     deposit_camera_ray(&medium, &tally.table, &ray, key, path_radiance[n * pixel_count + pixel_in_list], &tally);
 }
 
-/* Sums over all paths of a launch of the pixels from first_pixel on. */
+/* Sums over all paths of a launch, for the pixels from first_pixel on; without the first flights. */
 __kernel void jacobian_paths(JACOBIAN_PATHS_PARAMETERS)
 {
     const uint samples = path_count / pixel_count;

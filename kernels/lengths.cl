@@ -1,10 +1,10 @@
-/* How far paths fly through every voxel, side flights included. */
+/* The length of all paths in every voxel, side flights included. */
 #include "walk/accumulate.h"
 #include "walk/estimate.h"
 
 typedef struct {
     float radiance, own_share; /* of radiance.h */
-    float unit;                /* of the sums, per km */
+    float unit;                /* units of the sums per km */
     volatile __global Accumulator *lengths;
 } Tally;
 

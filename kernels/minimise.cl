@@ -1,21 +1,21 @@
-/* What conjugate gradients with bounds, 0 <= x <= upper, do with vectors (docs/explanation/solvers.md). Sums over a vector are made
- * by PARTS work items, of which each adds every PARTS-th number in order; one group adds the parts, by LANES, whatever
- * its size. */
+/* The operations on vectors for conjugate gradients with bounds, 0 <= x <= upper (docs/explanation/solvers.md). PARTS
+ * work items make partial sums over a vector, each of every PARTS-th element in order; then one group adds these up to
+ * LANES sums, whatever its size. */
 
-/* A step aims so much farther than the last one should have gone, lest bounds cut it short, and at most changes its
- * length by this factor. */
+/* The next step is tried AIM times as long as the last one should have been, so that bounds do not cut it short too
+ * often; its length changes by LARGEST_CHANGE at most. */
 #define AIM 1.3f
 #define LARGEST_CHANGE 2.0f
-/* Ended when so many steps in a row have gained little. */
+/* The minimisation ends after this many poor steps in a row. */
 #define PATIENCE 2
 
-/* x is free where it is off its bounds, or is pulled off the one it is on. */
+/* x is free if it is not on a bound, or if the negative gradient points away from the bound. */
 inline bool is_free(float x, float upper, float gradient)
 {
     return (x > 0.0f || gradient < 0.0f) && (x < upper || gradient > 0.0f);
 }
 
-/* One of the LANES parts of a sum's PARTS. */
+/* One of LANES sums over the PARTS partial sums. */
 inline float lane_of(const __global float *sums, uint lane)
 {
     float sum = 0.0f;
@@ -24,8 +24,9 @@ inline float lane_of(const __global float *sums, uint lane)
     return sum;
 }
 
-/* Where a step along the next direction comes to rest, bounds heeded: `change`, which has the last one before. What is
- * on its bound and is pushed against it was not moved off it by the last change, and stays. Its product begins at 0. */
+/* The next change: a step along the next direction, projected onto the bounds. `change` has the last change before. An
+ * element on its bound that is pushed against it stays: the last change did not move it off. The product is set to 0.
+ */
 __kernel void next_change(NEXT_CHANGE_PARAMETERS)
 {
     const uint index = get_global_id(0);
@@ -36,7 +37,7 @@ __kernel void next_change(NEXT_CHANGE_PARAMETERS)
     product[index] = 0.0f;
 }
 
-/* gradient . change, change . Hessian change, and how many times as far a change can go until it meets a bound. */
+/* Partial sums of gradient . change and change . Hessian change, and the largest factor of the change within bounds. */
 __kernel void sums_of_change(SUMS_OF_CHANGE_PARAMETERS)
 {
     const uint part = get_global_id(0);
@@ -57,8 +58,9 @@ __kernel void sums_of_change(SUMS_OF_CHANGE_PARAMETERS)
     sums[2 * PARTS + part] = least;
 }
 
-/* How much of a change is taken, and how long the next one should be. A change that leads up is not: the next direction
- * is that of the gradient alone, and if it was, or the function falls for ever, this is the end. */
+/* Chooses the factor with which a change is taken, and the length of the next step. A change along which the function
+ * rises is not taken: the next direction is the gradient's alone. If it already was that, or if the function has no
+ * minimum along the change, the minimisation ends. */
 inline void choose(__global Minimisation *state, float slope, float curvature, float farthest, float longest,
                    int most_steps, float tolerance)
 {
@@ -109,7 +111,7 @@ __kernel void choose_step(CHOOSE_STEP_PARAMETERS)
         choose(state, slope, curvature, farthest, longest, most_steps, tolerance);
 }
 
-/* x + so many times the change, and its gradient, if that is linear. */
+/* Adds the chosen multiple of the change to x, and of its product with the Hessian to the gradient. */
 __kernel void take_step(TAKE_STEP_PARAMETERS)
 {
     const uint index = get_global_id(0);
@@ -120,7 +122,8 @@ __kernel void take_step(TAKE_STEP_PARAMETERS)
     gradient[index] += taken * hessian_change[index];
 }
 
-/* The scaled negative gradient of what is free, times the Hessian's product with the last change: how far it is from conjugate. */
+/* Partial sums of the scaled negative gradient of free elements, times the Hessian's product with the last change: 0 if
+ * both are conjugate. */
 __kernel void sums_of_gradient(SUMS_OF_GRADIENT_PARAMETERS)
 {
     const uint part = get_global_id(0);
@@ -133,7 +136,7 @@ __kernel void sums_of_gradient(SUMS_OF_GRADIENT_PARAMETERS)
     sums[part] = along;
 }
 
-/* How much of the last change makes the next direction conjugate to it. */
+/* The factor of the last change that makes the next direction conjugate to it. */
 __kernel void choose_conjugation(CHOOSE_CONJUGATION_PARAMETERS)
 {
     __local float lanes[LANES];
@@ -157,7 +160,7 @@ __kernel void add_vector(ADD_VECTOR_PARAMETERS)
         result[index] += factor * x[index];
 }
 
-/* A vector's numbers in a larger array, and back. */
+/* Writes a vector's elements to their places in a larger array; and below, adds them back from there. */
 __kernel void spread_values(SPREAD_VALUES_PARAMETERS)
 {
     const uint index = get_global_id(0);
@@ -180,7 +183,7 @@ __kernel void find_change(FIND_CHANGE_PARAMETERS)
         result[index] = x[index] - start[index];
 }
 
-/* Adds a data term's gradient: the transposed Jacobian's, and that of the damping. */
+/* Adds a data term's gradient: the transposed Jacobian's product and the damping's gradient. */
 __kernel void add_damped(ADD_DAMPED_PARAMETERS)
 {
     const uint index = get_global_id(0);
@@ -188,7 +191,7 @@ __kernel void add_damped(ADD_DAMPED_PARAMETERS)
         result[index] += transposed[index] + damping[index] * change[index];
 }
 
-/* Of each part of a view's pixels the sums of residuals times the weighted basis, [part][basis]. */
+/* Sums over each part of a view's pixels of residuals times the weighted basis, [part][basis]. */
 __kernel void sum_basis(SUM_BASIS_PARAMETERS)
 {
     const uint item = get_global_id(0), part = item / basis_count, n = item % basis_count;
@@ -200,7 +203,7 @@ __kernel void sum_basis(SUM_BASIS_PARAMETERS)
     sums[item] = sum;
 }
 
-/* What the views' gains and motions are fitted to be: a matrix times the sums over each view's parts, [view][basis]. */
+/* The fitted gains and motions of the views, [view][basis]: a matrix times the sums over each view's parts. */
 __kernel void fit_views(FIT_VIEWS_PARAMETERS)
 {
     const uint item = get_global_id(0);

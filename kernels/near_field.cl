@@ -2,7 +2,7 @@
 #include "walk/accumulate.h"
 #include "near_field.h"
 
-/* How many voxels of the mask are in every pixel's tile. */
+/* The number of voxels of the mask in every pixel's tile. */
 __kernel void near_count(NEAR_COUNT_PARAMETERS)
 {
     const size_t row = get_global_id(0);
@@ -17,7 +17,7 @@ __kernel void near_count(NEAR_COUNT_PARAMETERS)
     counts[row] = found;
 }
 
-/* Which these are, in the order of their slots. */
+/* The columns of these voxels, in the order of their slots. */
 __kernel void near_fill(NEAR_FILL_PARAMETERS)
 {
     const size_t row = get_global_id(0);
@@ -53,7 +53,7 @@ __kernel void average_near(AVERAGE_NEAR_PARAMETERS)
     }
 }
 
-/* The same of blocks, whose sums are shared by all their pixels and voxels alike. */
+/* The same for blocks; a sum is divided equally among all pixels and voxels of the blocks. */
 __kernel void average_far(AVERAGE_FAR_PARAMETERS)
 {
     const size_t item = get_global_id(0);

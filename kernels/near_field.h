@@ -1,7 +1,8 @@
 /* The near field of a Jacobian: the voxels around a pixel's line of sight.
  *
- * A pixel's tile has, in every slab of voxels along its main axis, TILE_WIDTH x TILE_WIDTH voxels around the line.
- * A voxel's slot in it follows from its place; what is not in the tile is far. */
+ * A pixel's tile has TILE_WIDTH x TILE_WIDTH voxels around the line in every slab, a layer of voxels across the axis
+ * along which the line crosses most voxels. A voxel's slot, its number in the tile, follows from its position. Voxels
+ * that are not in the tile belong to the far field. */
 #ifndef CLOUDTOMO_NEAR_FIELD_H
 #define CLOUDTOMO_NEAR_FIELD_H
 
@@ -9,7 +10,7 @@
 
 inline int component(int3 a, int axis) { return axis == 0 ? a.x : axis == 1 ? a.y : a.z; }
 
-/* Where the tile begins in a slab, along one of the other two axes (0, 1). */
+/* The first voxel of the tile in a slab, along one of the other two axes (0, 1). */
 inline int tile_corner(const __global Tile *tile, int slab, int across)
 {
     return (int)floor(tile->centre[across] + (float)slab * tile->slope[across]) - TILE_WIDTH / 2;

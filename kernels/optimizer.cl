@@ -1,4 +1,4 @@
-/* Steps of stochastic descent. The parameter that is stepped is the extinction, or its square root; voxels
+/* Steps of stochastic descent. The parameter is the extinction, or its square root; voxels
  * outside of the mask stay 0, those inside stay at or above the floor (km^-1). */
 
 /* Descends by `change` in the parameter, and writes the projected extinction. */
@@ -15,7 +15,7 @@ inline void descend(__global float *extinction, const __global uchar *mask, size
     }
 }
 
-/* d cost / d variable from d cost / d extinction. */
+/* d cost / d parameter from d cost / d extinction. */
 inline float chain(const __global float *extinction, float gradient, size_t voxel, int square_root)
 {
     return square_root ? 2.0f * sqrt(extinction[voxel]) * gradient : gradient;
@@ -30,7 +30,7 @@ __kernel void sgd_step(SGD_STEP_PARAMETERS)
     descend(extinction, mask, voxel, step * slope, square_root, floor_extinction);
 }
 
-/* Kingma and Ba 2015, Algorithm 1; the corrections of the moments' start are in
+/* Kingma and Ba 2015, Algorithm 1; the bias corrections of the moments are
  * first_correction = 1 / (1 - beta1^t) and second_correction = 1 / (1 - beta2^t). */
 __kernel void adam_step(ADAM_STEP_PARAMETERS)
 {

@@ -1,12 +1,13 @@
-/* The patch prior of one step (docs/explanation/patches.md): which component each patch has, and the quadratic function
- * that all patches make together.
+/* The patch prior of one step (docs/explanation/patches.md): the choice of each patch's component, and the quadratic
+ * function that is the sum over all patches.
  *
  * A patch has PATCH_X x PATCH_Y x PATCH_Z values around its centre, odd numbers, z fastest; beyond the edges of the
- * grid stand the nearest voxels. The sum of all patches' quadratic forms is one of the voxels, whose matrix couples a
- * voxel with those that share a patch with it: the stencil. It is kept by tiles, LANES voxels in a row along z, and its
- * products cost 15 times less than those of the patches. Every sum is one work item's, in a fixed order.
+ * grid the nearest voxel is repeated. The sum of all patches' quadratic forms is a quadratic form of the voxels, whose
+ * matrix couples a voxel with those that share a patch with it: the stencil. It is stored by tiles, LANES voxels in a
+ * row along z, and its products cost 15 times less than those of single patches. One work item makes each sum, in a
+ * fixed order.
  *
- * The halo is the grid with so many voxels more around it that no tile reads beyond; they are 0. */
+ * The halo is the grid with margins of zeros around it, so that no tile reads beyond the array. */
 
 #include "lanes.h"
 
@@ -24,20 +25,20 @@ inline int halo_index(int3 voxel, int3 halo)
     return grid_index(voxel + (int3)(PATCH_X - 1, PATCH_Y - 1, PATCH_Z - 1), halo);
 }
 
-/* A patch's voxel at a place of it, along one axis. */
+/* The voxel at a place of a patch, along one axis. */
 inline int voxel_at(int centre, int place, int width, int count)
 {
     return clamp(centre + place - width / 2, 0, count - 1);
 }
 
-/* The places of a patch where a voxel stands, along one axis: the first and the last. None if the last is before. */
+/* The first and the last place of a voxel in a patch, along one axis. It has none if the last is before the first. */
 inline int2 places_of(int voxel, int centre, int width, int count)
 {
     const int place = voxel - centre + width / 2;
     return (int2)(voxel == 0 ? 0 : place, voxel == count - 1 ? width - 1 : place);
 }
 
-/* The centres of the patches that hold two voxels, along one axis: the first and the last. */
+/* The first and the last centre of patches that hold both voxels, along one axis. */
 inline int2 centres_of(int one, int other, int width, int count)
 {
     return (int2)(max(max(one, other) - width / 2, 0), min(min(one, other) + width / 2, count - 1));
@@ -45,7 +46,8 @@ inline int2 centres_of(int one, int other, int width, int count)
 
 inline int3 int3_of(ushort4 voxel) { return (int3)(voxel.x, voxel.y, voxel.z); }
 
-/* The component that makes minus a patch's log density least, and how much more that is than for a clear one's mean. */
+/* The component with the least minus log density of a patch, and that value minus the one of a patch of zeros with the
+ * first component. */
 __kernel void choose_components(CHOOSE_COMPONENTS_PARAMETERS)
 {
     const uint patch = get_global_id(0);
@@ -68,7 +70,7 @@ __kernel void choose_components(CHOOSE_COMPONENTS_PARAMETERS)
     float8 own[CHUNKS];
     for (int chunk = 0; chunk < CHUNKS; ++chunk)
         own[chunk] = vload8(chunk, held);
-    /* One that is likely from the start makes the search short, and its result no other. */
+    /* A good first guess makes the search shorter, and does not change its result. */
     const int index = grid_index(middle, shape);
     const uint guess = component[index] < component_count ? component[index] : 0u;
     uint found = 0u;
@@ -76,7 +78,7 @@ __kernel void choose_components(CHOOSE_COMPONENTS_PARAMETERS)
     for (uint n = 0u; n <= component_count && !clear; ++n) {
         const uint tried = n == 0u ? guess : n - 1u;
         float sum = constants[tried];
-        /* Along axes from the narrowest on: most components are soon too unlikely. */
+        /* Axes from the narrowest on: most components are soon too unlikely. */
         for (uint axis = 0u; axis < VALUES && sum <= least; ++axis) {
             const __global float *row = whitening + (size_t)(tried * VALUES + axis) * CHUNKS * LANES;
             float8 sums = 0.0f;
@@ -95,7 +97,7 @@ __kernel void choose_components(CHOOSE_COMPONENTS_PARAMETERS)
     cost[patch] = least - constants[0];
 }
 
-/* Which tiles have a voxel in a patch that has cloud. */
+/* Which tiles have a voxel in a patch with cloud. */
 __kernel void find_tiles(FIND_TILES_PARAMETERS)
 {
     const uint tile = get_global_id(0);
@@ -114,7 +116,7 @@ __kernel void find_tiles(FIND_TILES_PARAMETERS)
     reached[tile] = found;
 }
 
-/* One work item has a voxel, and those that lie so far from it along x and y. */
+/* One work item computes the entries of a voxel for all voxels at one offset along x and y. */
 __kernel void assemble_stencil(ASSEMBLE_STENCIL_PARAMETERS)
 {
     const uint item = get_global_id(0), lane = item % LANES, across = item / LANES % (OFFSETS_X * OFFSETS_Y);
@@ -134,7 +136,7 @@ __kernel void assemble_stencil(ASSEMBLE_STENCIL_PARAMETERS)
         const int2 px = places_of(voxel.x, x, PATCH_X, shape.x), qx = places_of(other_x, x, PATCH_X, shape.x);
         for (int y = ys.x; y <= ys.y; ++y) {
             const int2 py = places_of(voxel.y, y, PATCH_Y, shape.y), qy = places_of(other_y, y, PATCH_Y, shape.y);
-            /* But for the edges of the grid both voxels have one place in a patch. */
+            /* Except at the edges of the grid, both voxels have one place each in a patch. */
             const bool alone = px.x == px.y && qx.x == qx.y && py.x == py.y && qy.x == qy.y;
 #pragma unroll
             for (int n = 0; n < PATCH_Z; ++n) {
@@ -167,8 +169,8 @@ __kernel void assemble_stencil(ASSEMBLE_STENCIL_PARAMETERS)
         stencil[(((size_t)tile * OFFSETS_X * OFFSETS_Y + across) * OFFSETS_Z + n) * LANES + lane] = sums[n];
 }
 
-/* Of every voxel that is not another rank's (w): what patches with cloud add to the slope at 0, how many places it has
- * in patches without, and the diagonal of the matrix. */
+/* For every voxel of this rank (w is 0): the sum of precision times mean over its patches, the diagonal of the matrix
+ * by patches without cloud, and the diagonal by all patches. */
 __kernel void sum_patches(SUM_PATCHES_PARAMETERS)
 {
     const uint index = get_global_id(0);
@@ -201,7 +203,7 @@ __kernel void sum_patches(SUM_PATCHES_PARAMETERS)
     diagonal[index] = diagonals;
 }
 
-/* Adds factor times the stencil's product with the values in the halo. One work item has a tile. */
+/* Adds factor times the stencil's product with the values in the halo; one work item computes a tile. */
 __kernel void add_stencil_product(ADD_STENCIL_PRODUCT_PARAMETERS)
 {
     const uint tile = get_global_id(0);
@@ -229,7 +231,7 @@ __kernel void add_stencil_product(ADD_STENCIL_PRODUCT_PARAMETERS)
     }
 }
 
-/* Adds factor times what patches without cloud have, and so much of what means have. */
+/* Adds factor times the product of patches without cloud, minus `means` times the means' part. */
 __kernel void add_diagonal_product(ADD_DIAGONAL_PRODUCT_PARAMETERS)
 {
     const uint index = get_global_id(0);

@@ -1,15 +1,15 @@
-/* The radiance table, filled by photons from the sun: what they bring to every cell that they cross.
+/* The radiance table, filled by photons from the sun, which add to every cell that they cross.
  *
- * The lengths of a photon's flights through a cell, times its weight, are an estimate of the radiance there without a
- * denominator that is sampled: of N photons that stand for the power P together,
+ * The lengths of photons' flights through a cell, times their weights, estimate the radiance there without a random
+ * denominator: for N photons with the total power P,
  *
  *     radiance of a bin = P / N sum of weight x length / (the cell's volume x the bin's solid angle)
  *
  * (Spanier and Gelbard 1969, "Monte Carlo principles and neutron transport problems": the track-length estimator).
- * It is unbiased wherever light goes. Flights before the first event are direct sunlight, which the table has apart.
+ * It is unbiased wherever light goes. Flights before the first event are direct sunlight, a separate part of the table.
  *
- * With open sides, surface and air go on for ever around the domain, and no photon may start everywhere. There all
- * photons end where they leave the domain, and others start where light enters it (arriving.cl). */
+ * With open sides, surface and air go on without end around the domain, and photons cannot start everywhere. There all
+ * photons end where they leave the domain, and further ones start where light enters it (arriving.cl). */
 #include "box.h"
 #include "radiance_table.h"
 #include "walk/accumulate.h"
@@ -20,9 +20,9 @@
 typedef struct {
     const __global int *column;
     const __global uint4 *cells;
-    volatile __global Accumulator *sums; /* [cell][bin], units of 1 / unit km */
-    float unit;
-    bool is_diffuse; /* light from the first flight on */
+    volatile __global Accumulator *sums; /* [cell][bin]: weight x length */
+    float unit;                          /* units of the sums per km */
+    bool is_diffuse;                     /* whether the first flight is diffuse light already */
 } Tally;
 
 inline void deposit_light(const __constant Scene *scene, const Ray *ray, const VoxelWalk *walk, float length, int bin,
@@ -53,7 +53,7 @@ inline Flight on_flight(const Medium *medium, Ray *ray, const Segment *segment, 
 {
     if (segment->event == 1u && !tally->is_diffuse)
         return fly(medium, ray, segment->optical_depth);
-    /* The table's directions are those of paths from cameras: against the light. */
+    /* The table's directions are those of paths from cameras, against the light. */
     const int bin = direction_bin(-ray->direction);
     return fly_and_deposit(medium, ray, segment->optical_depth, bin, tally->unit * segment->throughput, tally);
 }
@@ -73,8 +73,8 @@ inline void on_scattering(const Medium *medium, const KEPT Interaction *at, cons
 #include "walk/unbudgeted.h"
 #include "walk/path.h"
 
-/* Photon `sample_in_launch * pixel_count + pixel` starts in a pixel of the sun's view, as those of fluxes; or photon n
- * where light enters a box. Its weight is 1, or given. */
+/* Photon number `sample_in_launch * pixel_count + pixel` starts in a pixel of the sun's view, as for fluxes; or photon
+ * n starts where light enters a box. Its weight is 1, or given. */
 __kernel void fill_table(FILL_TABLE_PARAMETERS)
 {
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);
@@ -110,21 +110,21 @@ __kernel void fill_table(FILL_TABLE_PARAMETERS)
     }
 }
 
-/* Bins whose sums are made side by side: each in its order, all in registers. */
+/* Number of bins whose sums are made at the same time, in registers; the order in each sum is fixed. */
 #define TOGETHER 20
 #if DIRECTION_BINS % TOGETHER
 #error TOGETHER has to divide the number of bins
 #endif
 
-/* From a cell's sums to what derivatives are made of, in their place, for tables take much memory. Volatile: compilers
- * may think that numbers of two types never share a place. */
+/* Replaces a cell's sums by source minus radiance, and source, in the same memory, since tables are large. Volatile:
+ * compilers may assume that numbers of two types never share memory. */
 __kernel void tabulate(TABULATE_PARAMETERS)
 {
     const size_t cell = get_global_id(0);
     if (cell >= count)
         return;
     volatile __global Accumulator *sums = table_sums + cell * DIRECTION_BINS;
-    float into[DIRECTION_BINS]; /* what photons have brought */
+    float into[DIRECTION_BINS]; /* sums of weight x length in each bin */
     for (int bin = 0; bin < DIRECTION_BINS; ++bin) {
         if (has_overflowed(sums[bin]))
             atomic_inc(overflown);

@@ -9,7 +9,7 @@ inline int3 voxel_of(int index, int3 shape)
 
 inline int index_of(int3 voxel, int3 shape) { return (voxel.x * shape.y + voxel.y) * shape.z + voxel.z; }
 
-/* A: mean of the 26 neighbours minus the centre; beyond the edge stands the nearest voxel.
+/* A: mean of the 26 neighbours minus the centre; beyond the edge the nearest voxel is repeated.
  * A is symmetric, the edges included: A^T A b is this kernel twice. */
 __kernel void laplacian(LAPLACIAN_PARAMETERS)
 {

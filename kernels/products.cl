@@ -1,6 +1,6 @@
-/* Products with a Jacobian in two parts: the near field by rows (CSR) and by columns, and the far field by blocks. Every
- * sum is one work item's, in the order of its entries; those of the far field are made in parts of FAR_PART, which are
- * added in theirs. WIDTH is that of the vectors which are read at a time, 8. */
+/* Products with a Jacobian in two parts: the near field by rows (CSR) and by columns, and the far field by blocks. One
+ * work item makes each sum, in the order of its entries; sums of the far field are made in parts of FAR_PART, which are
+ * then added in order. WIDTH is the width of the vectors that are read at a time, 8. */
 
 #include "lanes.h"
 
@@ -28,7 +28,7 @@ __kernel void jacobian_transposed(JACOBIAN_TRANSPOSED_PARAMETERS)
     result[voxel] = sum + of_blocks[block[voxel]];
 }
 
-/* The diagonal of J^T diag(y) J, J = near + far; `of_blocks` has that of the far field alone. */
+/* The diagonal of J^T diag(y) J, J = near + far; `of_blocks` has the diagonal for the far field alone. */
 __kernel void jacobian_curvature(JACOBIAN_CURVATURE_PARAMETERS)
 {
     const size_t voxel = get_global_id(0);
@@ -43,7 +43,7 @@ __kernel void jacobian_curvature(JACOBIAN_CURVATURE_PARAMETERS)
     result[voxel] = sum + of_blocks[block[voxel]];
 }
 
-/* The near field by columns from that by rows. */
+/* The values of the near field by columns, from those by rows. */
 __kernel void near_by_column(NEAR_BY_COLUMN_PARAMETERS)
 {
     const size_t place = get_global_id(0);
@@ -51,7 +51,7 @@ __kernel void near_by_column(NEAR_BY_COLUMN_PARAMETERS)
         result[place] = values[entries[place]];
 }
 
-/* Sums of a vector's numbers over the members of each block. */
+/* Sums of a vector's elements over the members of each block. */
 __kernel void sum_members(SUM_MEMBERS_PARAMETERS)
 {
     const size_t index = get_global_id(0);
@@ -81,8 +81,8 @@ __kernel void far_times(FAR_TIMES_PARAMETERS)
     result[item] = sum;
 }
 
-/* far^T y, or with the squares of far, in parts of FAR_PART rows: `result` is [part][column]; WIDTH columns a work
- * item. */
+/* far^T y, or with the squares of far, in parts of FAR_PART rows: `result` is [part][column]; each work
+ * item computes WIDTH columns. */
 __kernel void far_transposed(FAR_TRANSPOSED_PARAMETERS)
 {
     const uint groups = (block_count + WIDTH - 1u) / WIDTH;

@@ -1,8 +1,8 @@
 /* The radiance table: diffuse radiance by cell and bin of directions. Cells are the voxels of a mask, or parts of
- * those that are optically deep.
+ * voxels that are optically deep.
  *
  * Bins are rings around the vertical, cut into equal azimuths. The host defines DIRECTION_RINGS, DIRECTION_BINS
- * and the values of the three tables of rings. */
+ * and the values of the three tables of rings. A column of the table is a voxel of the mask. */
 #ifndef CLOUDTOMO_RADIANCE_TABLE_H
 #define CLOUDTOMO_RADIANCE_TABLE_H
 
@@ -24,10 +24,10 @@ inline int direction_bin(float3 direction)
 }
 
 typedef struct {
-    const __global int *column;     /* of every voxel in the table, or -1 */
-    const __global uint4 *cells;    /* of every column: its first cell, and parts along x, y, z */
-    const __global float *diffuse;  /* [cell][2][bin]: source - radiance, and the source, sr^-1 */
-    const __global float *sunlight; /* [cell]: direct, share of the irradiance, in units of sunlight_at */
+    const __global int *column;     /* [voxel]: column of the table, or -1 */
+    const __global uint4 *cells;    /* [column]: first cell, and numbers of cells along x, y, z */
+    const __global float *diffuse;  /* [cell][2][bin]: source minus radiance, and source, sr^-1 */
+    const __global float *sunlight; /* [cell]: direct sunlight, share of the irradiance, over sunlight_at */
 } RadianceTable;
 
 #define TABLE_ARGUMENTS column, cells, diffuse, sunlight
@@ -38,23 +38,23 @@ inline RadianceTable make_table(const __global int *column, const __global uint4
     return table;
 }
 
-/* What droplets scatter of diffuse light, sr^-1, less the radiance. */
+/* Source function of droplets by diffuse light, minus the radiance, sr^-1. */
 inline float scattered_less_radiance(const RadianceTable *table, uint cell, int bin)
 {
     return table->diffuse[2 * cell * DIRECTION_BINS + bin];
 }
 
-/* What droplets scatter of diffuse light, sr^-1. */
+/* Source function of droplets by diffuse light, sr^-1. */
 inline float diffuse_source(const RadianceTable *table, uint cell, int bin)
 {
     return table->diffuse[(2 * cell + 1) * DIRECTION_BINS + bin];
 }
 
-/* Direct sunlight changes within a cell as exp(rate x way towards the sun), km^-1: the way out of its own voxel is
- * shorter. Where that is little it is constant. */
+/* Direct sunlight changes within a voxel as exp(rate x way towards the sun), since the way out of the voxel gets
+ * shorter; the rate is in km^-1. Where the change is small it is taken to be constant. */
 #define LEAST_CHANGE 0.1f
 #define MOST_CHANGE 30.0f
-#define LITTLE 0.01f /* for a series of two terms */
+#define LITTLE 0.01f /* below, a series of two terms is exact enough */
 inline float sunlight_rate(const __constant Scene *scene, float droplets)
 {
     const float3 spacing = grid_spacing(scene);
@@ -62,19 +62,19 @@ inline float sunlight_rate(const __constant Scene *scene, float droplets)
     return droplets * size < LEAST_CHANGE ? 0.0f : lesser(droplets, MOST_CHANGE / size);
 }
 
-/* The exponential of any number. */
+/* The exponential of a number of either sign. */
 inline float growth(float a)
 {
     const float falls = exponential(-magnitude(a));
     return a > 0.0f ? 1.0f / falls : falls;
 }
 
-/* In units of what it has in the voxel's lower corner; `way`: from there towards the sun, km. */
+/* Direct sunlight over that in the voxel's lower corner; `way`: distance from there towards the sun, km. */
 inline float sunlight_at(float rate, float way) { return rate == 0.0f ? 1.0f : growth(rate * way); }
 
 /* Direct sunlight along a crossing of a voxel. */
 typedef struct {
-    float rate, way, slope; /* way: of the crossing's start; slope: of the way, along it */
+    float rate, way, slope; /* way (km) at the crossing's start; slope: change of the way per km of the crossing */
 } SunlightWalk;
 
 inline SunlightWalk walk_sunlight(const __constant Scene *scene, const Ray *ray, float begin, float length,
@@ -91,7 +91,7 @@ inline SunlightWalk walk_sunlight(const __constant Scene *scene, const Ray *ray,
     return walk;
 }
 
-/* Its mean over `length` km from `from` km on. */
+/* The mean of the sunlight over `length` km of the crossing from `from` km on. */
 inline float mean_sunlight(const SunlightWalk *walk, float from, float length)
 {
     if (walk->rate == 0.0f)
@@ -103,15 +103,15 @@ inline float mean_sunlight(const SunlightWalk *walk, float from, float length)
 
 /* A walk along a crossing of a voxel, from cell to cell. */
 typedef struct {
-    float next_x, next_y, next_z; /* km from the crossing's start to the next face of a cell, per axis */
-    float per_part_x, per_part_y, per_part_z;
-    int ahead_x, ahead_y, ahead_z; /* cells ahead in the voxel, per axis; -1: it has been left */
-    int stride_x, stride_y, stride_z;
-    uint cell;
-    float from; /* km from the crossing's start to where the cell begins */
+    float next_x, next_y, next_z;             /* km from the crossing's start to the next face of a cell, per axis */
+    float per_part_x, per_part_y, per_part_z; /* km between faces of cells, per axis */
+    int ahead_x, ahead_y, ahead_z;            /* cells ahead in the voxel, per axis; -1: it has been left */
+    int stride_x, stride_y, stride_z;         /* to the next cell's number, per axis */
+    uint cell;                                /* number of the present cell */
+    float from;                               /* km from the crossing's start to where the cell begins */
 } CellWalk;
 
-/* Along one axis: `start` is where the crossing begins in the voxel, from 0 to 1, `slope` voxels per km. */
+/* Begins the walk along one axis: `start` is the crossing's start in the voxel, from 0 to 1, `slope` voxels per km. */
 inline void begin_axis(float start, float slope, uint parts, int stride, CellWalk *walk, float *next, float *per_part,
                        int *ahead, int *step)
 {
@@ -125,7 +125,7 @@ inline void begin_axis(float start, float slope, uint parts, int stride, CellWal
     walk->cell += part * stride;
 }
 
-/* Of a crossing of a column's voxel that begins `begin` km along a ray and is `length` km long. */
+/* The walk for a crossing of a column's voxel that begins `begin` km along a ray and is `length` km long. */
 inline CellWalk walk_cells(const __constant Scene *scene, uint4 cells, const Ray *ray, float begin, float length)
 {
     const float3 slope = ray->direction / grid_spacing(scene);
@@ -142,7 +142,7 @@ inline CellWalk walk_cells(const __constant Scene *scene, uint4 cells, const Ray
     return walk;
 }
 
-/* To the next cell; returns the length of the one that is left, km. Whoever has walked `length` is at the end. */
+/* Goes to the next cell; returns the length in the cell that is left, km. The walk ends at `length`. */
 inline float leave_cell(CellWalk *walk, float length)
 {
     const float exit = lesser(walk->next_z, lesser(walk->next_x, walk->next_y));
@@ -155,7 +155,7 @@ inline float leave_cell(CellWalk *walk, float length)
     walk->ahead_x -= x;
     walk->ahead_y -= y;
     walk->ahead_z -= z;
-    /* The last cell has what rounding leaves of the voxel. */
+    /* The last cell gets what rounding leaves of the crossing. */
     const bool leaves = (walk->ahead_x | walk->ahead_y | walk->ahead_z) < 0;
     const float from = walk->from;
     walk->from = leaves ? length : within(exit, from, length);

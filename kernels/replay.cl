@@ -1,35 +1,35 @@
-/* The gradient of a cost with respect to extinction: every path of a render is replayed, and deposits its
- * share into the voxels it depends on. A crossing of voxel v over l km on the way to radiance R adds -l R, a
+/* The gradient of a cost with respect to extinction: every path of a rendering is replayed, and adds its
+ * part to the voxels on which it depends. A crossing of voxel v over l km on the way to radiance R adds -l R, a
  * collision with a droplet there adds R / extinction (the supplement's Eqs. 13, 17, 18 with sums swapped; path
  * replay, Vicini et al. 2021).
  *
- * Where the extinction is small that is noise, and where it is 0 nothing collides. So there are virtual droplets too,
- * `virtual_extinction` of them (km^-1): paths pass them, but where a path meets one another path begins, which
- * scatters there as if the droplet were real. What that one brings (virtual.cl), and what collisions with real
- * droplets bring, is divided by the extinction of both. Whatever the virtual extinction, the mean is the derivative,
- * if together with the droplets' it is above 0. */
+ * Where the extinction is small this is noisy, and where it is 0 nothing collides. So there are virtual droplets, too,
+ * with the extinction `virtual_extinction` (km^-1). Paths pass them, but where a path meets one, another path begins,
+ * which scatters there as if the droplet were real. Its radiance (virtual.cl), and that of collisions with real
+ * droplets, is divided by the sum of both extinctions. The mean is the derivative for every virtual extinction, if
+ * that sum is above 0. */
 #include "walk/accumulate.h"
 #include "walk/estimate.h"
 #include "walk/replayed.h"
 #include "walk/turns.h"
 
-/* What is seldom needed of a path that is replayed. */
+/* The part of a replayed path's state that is seldom needed. */
 typedef struct {
-    SampleKey key;           /* of the virtual collisions */
-    uint virtual_collisions; /* so far */
-    uint place;              /* of the one that is kept, in the list */
-    uint path;
+    SampleKey key;           /* key of the virtual collisions' random numbers */
+    uint virtual_collisions; /* number of virtual collisions so far */
+    uint place;              /* place, in the list, of the one that is kept */
+    uint path;               /* number of the path in its launch */
     float total;             /* the whole path's radiance, sr^-1 */
-    float throughput, share; /* of the present flight: with what another path would begin on it */
-    uint event;
-    int aside; /* whether that is a side flight */
+    float throughput, share; /* of the present flight: another path would begin with them */
+    uint event;              /* number of the present flight */
+    int aside;               /* whether it is a side flight */
 } Replayed;
 
 typedef struct {
     float radiance, own_share; /* of radiance.h */
     float adjoint;             /* derivative of the cost with respect to this path's radiance, scaled */
     float remaining;           /* the adjoint payload of the path's flight: radiance that depends on it, sr^-1 */
-    float virtual_depth;       /* optical depth of virtual droplets before the next is met */
+    float virtual_depth;       /* optical depth of virtual droplets until the next is met */
     KEPT Replayed *path;
     const __global float *virtual_extinction; /* [x][y][z]; below 0: outside of the mask, nothing is deposited */
     __global VirtualCollision *list;
@@ -43,7 +43,7 @@ inline void deposit_crossing(const Tally *tally, int index, float length, float 
         accumulate(tally->gradient + index, -tally->adjoint * length * radiance);
 }
 
-/* The n-th virtual collision replaces the one that is kept with probability 1 / n: each is kept as likely. */
+/* The n-th virtual collision replaces the kept one with probability 1 / n: all are equally likely to be kept. */
 inline void meet_virtual_droplet(const Medium *medium, const Ray *from, const VoxelWalk *walk, float distance,
                                  Tally *tally)
 {
@@ -93,7 +93,7 @@ inline void cross(const Medium *medium, const Ray *ray, const VoxelWalk *walk, f
 #define CROSSES(index, length) deposit_crossing(tally, index, length, radiance)
 #include "walk/traversal.h"
 
-/* Where a flight that `radiance` depends on has ended. */
+/* Deposits at the collision where a flight, on which `radiance` depends, has ended. */
 inline void deposit_collision(const Tally *tally, const Flight *flight, Particle end, float radiance)
 {
     if (end < 0 || radiance == 0.0f || tally->virtual_extinction[flight->index] < 0.0f)
@@ -144,7 +144,7 @@ inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalE
 #include "walk/unbudgeted.h"
 #include "walk/radiance.h"
 
-/* Before a path, whose radiance is known. */
+/* Starts the tally of a path, whose radiance is known. */
 inline void begin_tally(Tally *tally, uint number, float total, SampleKey key)
 {
     KEPT Replayed *path = tally->path;
@@ -168,7 +168,7 @@ inline void end_tally(const Tally *tally, volatile __global uint *astray)
         tally->list[path->place].of = path->virtual_collisions;
 }
 
-/* The launch may be a part of the paths: its global offset is the first. */
+/* A launch may replay a part of the paths: its global offset is the first one. */
 __kernel void replay_paths(REPLAY_PATHS_PARAMETERS)
 {
     const Medium medium = make_medium(MEDIUM_ARGUMENTS);

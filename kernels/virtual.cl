@@ -1,16 +1,16 @@
-/* Paths from virtual collisions (replay.cl): what they bring is deposited into the voxel where they begin. A path
- * goes on from there as its own path would have, had it met a droplet, with random numbers of its own. */
+/* Paths from virtual collisions (replay.cl): their radiance is added to the gradient in the voxel where they begin.
+ * Such a path goes on as the replayed path would have if the droplet were real, but with other random numbers. */
 #include "walk/accumulate.h"
 #include "walk/estimate.h"
 #include "walk/replayed.h"
 
 typedef struct {
     float radiance, own_share; /* of radiance.h */
-    uint first_event;          /* of the virtual collision */
-    int index;                 /* of its voxel */
+    uint first_event;          /* number of the flight with the virtual collision */
+    int index;                 /* index of the collision's voxel */
 } Tally;
 
-/* The path begins where its first segment has ended, in a droplet. */
+/* The path begins at the end of its first segment, in a droplet. */
 inline Flight tally_fly(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)
 {
     if (segment->event > tally->first_event)
@@ -34,7 +34,7 @@ inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalE
 #include "walk/unbudgeted.h"
 #include "walk/radiance.h"
 
-/* Sunlight that a side flight which ends in a droplet there adds. */
+/* The local estimate of a side flight that ends in a droplet there. */
 static float side_radiance(const Medium *medium, const KEPT Interaction *at, float share, int index,
                            const KEPT SampleKey *key)
 {
@@ -76,7 +76,7 @@ __kernel void virtual_paths(VIRTUAL_PATHS_PARAMETERS)
         radiance = tally.radiance;
     }
     const float droplets = extinction[index] + virtual_extinction[index];
-    const float each = (float)from->of / droplets; /* it stands for all of its path */
+    const float each = (float)from->of / droplets; /* it stands for all virtual collisions of its path */
     if (radiance != 0.0f)
         accumulate(gradient + index, adjoint_of(adjoint, pixel_in_list, sample) * (radiance * each));
 }

@@ -1,4 +1,4 @@
-"""The minimum of a step, where the prior has many: from a weak prior to its full weight."""
+"""The minimum of a step: by annealing from a weak prior to its full weight, or with the prior's scale renewed."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
 from cloudtomo_cl.inversion.terms import Term
 
-# Shares of the weight of a prior that chooses, one minimised with after the other (docs/decisions/patch-prior.md).
+# Shares of the prior's weight, with which annealing minimises one after the other (docs/decisions/patch-prior.md).
 _SHARES = (0.03, 0.06, 0.12, 0.24, 0.48, 1.0, 1.0)
-# Begun where nothing is less than this share of the cloud's mean extinction.
+# Annealing begins with at least this share of the cloud's mean extinction in every voxel.
 _FLOOR = 0.1
-# Of the iterations of a minimisation, the share of one of these.
+# Iterations of each of these minimisations, as a share of `InnerProblem.iterations`.
 _EACH = 0.5
-# How often a step is minimised again because the cloud's mean extinction has changed, by more than this share; not once
-# it has fallen below that share of the step's start, where the linear model is no guide any more.
+# A step is minimised again, at most _RESCALINGS times, while the cloud's mean extinction changes by more than the share
+# _SETTLED_SCALE; but not below the share _LEAST_SCALE of its value at the start, where the linear model misleads.
 _RESCALINGS, _SETTLED_SCALE, _LEAST_SCALE = 4, 0.1, 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class InnerProblem:
-    """What a step minimises: a data term, which is quadratic, and the prior as it stands at some extinction.
+    """What a step minimises: the quadratic data term and the prior, whose form is chosen at some extinction.
 
     Attributes
     ----------
-    problem : whose prior and device
-    data : with the step's damping
-    hessian_diagonal : about the diagonal of its second derivative, positive, shape (voxels,)
-    units : what the prior is multiplied with
-    upper : bound of the extinction, km^-1, shape (voxels,): as far as the linear model is trusted
-    mass_share : of the prior's pull on the mass, which is taken back (`mass`)
-    iterations : of conjugate gradients, at most
-    iteration : of the stage, counted from 0
+    problem : the problem, for its prior and device
+    data : data term with the step's damping
+    hessian_diagonal : approximate diagonal of the data term's Hessian, positive, shape (voxels,)
+    units : factors of the prior
+    upper : upper bound of the extinction, km^-1, shape (voxels,): as far as the linear model is trusted
+    mass_share : share of the prior's pull on the cloud's mass that is taken back (mass.py)
+    iterations : largest number of iterations of conjugate gradients
+    iteration : number of the stage's iteration, counted from 0, if the prior is gentler in the first ones; else None
     """
 
     problem: Problem
@@ -50,12 +50,12 @@ class InnerProblem:
     iteration: int | None = None
 
     def prior_value(self, extinction: np.ndarray) -> float:
-        """That of the prior as it stands there."""
+        """The prior's value at an extinction at which its form is chosen, too."""
         prior = self.problem.prior.frozen(extinction, self.iteration, self.mass_share)
         return prior.value_and_gradient(extinction, self.units)[0]
 
     def least(self, begin: np.ndarray, share: float = 1.0, of_iterations: float = 1.0) -> np.ndarray:
-        """The minimum, begun where the prior is chosen, with a share of its weight and of the iterations."""
+        """The minimum with a share of the prior's weight and of the iterations; the prior's form is that at `begin`."""
         begin = np.minimum(begin, self.upper)
         device = self.problem.operator.device
         prior = self.problem.prior.frozen(begin, self.iteration, self.mass_share)
@@ -67,12 +67,13 @@ class InnerProblem:
 
 
 def annealed(inner: InnerProblem, start: np.ndarray) -> np.ndarray:
-    """With a prior that chooses by the extinction what it is: from above.
+    """The minimum with a prior whose form depends on the extinction, as the patch prior's: by annealing.
 
-    Begun at the last minimum, such a prior chooses what makes that likelier still, and every choice makes the cloud
-    smoother. So each step begins with a weak prior, whose choice the images decide; and its weight rises to 1 while it
-    chooses again and again (deterministic annealing: Rose 1998; a rising coupling does the same in Zoran and Weiss
-    2011). It begins at the last cloud with no voxel clear: what the images do not say stays about what it was.
+    If a step chose the prior's form at the last minimum, the choice would make that minimum likelier still, and every
+    choice would make the cloud smoother. So each step begins with a weak prior, where the images decide on the form,
+    and the form is chosen again while the weight rises to 1 (deterministic annealing: Rose 1998; a rising coupling
+    does the same in Zoran and Weiss 2011). The step begins at the last cloud, with no voxel clear: what the images
+    leave open stays about as it was.
 
     start : km^-1, shape (voxels,)
     """
@@ -83,10 +84,10 @@ def annealed(inner: InnerProblem, start: np.ndarray) -> np.ndarray:
 
 
 def rescaled(inner: InnerProblem, start: np.ndarray) -> np.ndarray:
-    """From the last minimum, and again whenever the cloud's mean extinction, by which the prior is scaled, has changed.
+    """The minimum from the last one, found again while the cloud's mean extinction, the prior's scale, changes.
 
-    A cloud that gets thinner makes the prior stronger, by which it gets thinner still: from a start that is too deep,
-    where the linear model of images says that there is no cloud, this would go on until there is none.
+    A thinner cloud makes the prior stronger, which makes the cloud thinner still. From a start that is too deep, where
+    the linear model of the images says that there is no cloud, this would go on until no cloud is left.
 
     start : km^-1, shape (voxels,)
     """

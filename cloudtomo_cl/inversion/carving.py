@@ -23,12 +23,12 @@ from cloudtomo_cl.transport.radiance import RadianceOperator
 
 _SCALE_PERCENTILE = 99.0
 _QUIET_PERCENTILE = 25.0
-# Up to where noise may raise the tolerance, in contrasts. Beyond, noisy ground counts as cloudy:
-# with 3 a cloud lost 1.4 % of its mass in images of 24x24 pixels and 256 samples.
+# Largest tolerance, in units of the contrast, to which noise may raise it; noisier ground counts as cloudy.
+# With 3 a cloud lost 1.4 % of its mass in images of 24x24 pixels and 256 samples.
 _LOOSEST = 2.5
-# Errors of rendered pixels are pooled up to three pixels away, so that those of clear ones beside a cloud are its own:
-# here a pixel's is the one that the quietest tenth of such a neighbourhood has. With the errors as they are, twice as
-# many voxels were left; with the least of them, a cloud lost 0.6 % of its mass.
+# Errors of rendered pixels are pooled over neighbours up to three pixels away, so that clear pixels beside a cloud have
+# the cloud's large errors. Here a pixel gets the error that the quietest tenth of such a neighbourhood does not exceed.
+# With the errors as they are, twice as many voxels were left; with the least error, a cloud lost 0.6 % of its mass.
 _POOLED, _QUIETEST = 7, 10.0
 
 # Paths per pixel of the cloud-free images that carving compares with. Without air only the horizon makes them noisy.
@@ -38,11 +38,11 @@ _CLEAR_SAMPLES, _CLEAR_SAMPLES_IN_AIR = 16, 256
 def carved_mask(
     scene: Scene, measurements: Measurements, device: Device, progress: Callable[[int], None] | None = None
 ) -> np.ndarray:
-    """The voxels that images leave room for cloud in: bool, shape of the scene's grid.
+    """The voxels in which the images leave room for cloud: bool, shape of the scene's grid.
 
-    Renders the scene without cloud, and carves (`carve`); progress as of `RadianceOperator.render`.
+    Renders the scene without cloud, and carves (`carve`); progress as in `RadianceOperator.render`.
     """
-    # Without cloud there is no forward peak to tame, and no roulette is wanted on faint ground.
+    # Without cloud there is no forward peak to tame, and roulette would make faint ground noisy.
     operator = RadianceOperator(scene, measurements.views, device, estimator="plain")
     samples = _CLEAR_SAMPLES if scene.air is None else _CLEAR_SAMPLES_IN_AIR
     cloud_free = operator.render(np.zeros(scene.grid.shape, np.float32), samples, progress=progress)
@@ -69,7 +69,7 @@ def cloudy_pixels(
     of clear pixels: three times `significance` standard errors of the quieter pixels (their
     lower quartile), but no less than `contrast` and no more than two and a half times `contrast` of
     the image's own scale, the 99th percentile of the differences. The scale is at least a quarter
-    of the largest among the images, so that a view of hardly any cloud is not judged by its noise.
+    of the largest among the images, so that noise does not set the scale of a view with hardly any cloud.
     Gaps of a pixel or two and holes are then closed: where the brightness of a cloud's image
     passes through that of the ground, the cloud goes on. (Not in lists of rays, whose pixels
     have no neighbours.) Where a view's pointing is uncertain, pixels beside such ones count as
@@ -81,11 +81,11 @@ def cloudy_pixels(
     measurements, cloud_free : images of the same views with and without cloud, W m^-2 sr^-1
     contrast : the least difference that counts, relative to the image's scale
     significance : standard errors of the difference; 0 trusts every pixel
-    grid : of the domain, if pixels that do not look at it are to count as clear
+    grid : grid of the domain, if pixels that do not look at it are to count as clear
 
     Returns
     -------
-    bool, one array (rows, columns) per view
+    whether each pixel may show cloud: bool, one array (rows, columns) per view
 
     Raises
     ------
@@ -114,7 +114,7 @@ def cloudy_pixels(
             meets = pixels_that_meet(view, grid)
             differs, bad = differs & meets, bad & meets
             differs = _grown(differs, significance * _pointing_error(measurements, index, grid))
-        # Invalid pixels open no way to their neighbours.
+        # Invalid pixels are added after gaps are closed, so that they do not spread to their neighbours.
         cloudy.append((differs if isinstance(view, RayView) else _filled(differs)) | bad)
     return tuple(cloudy)
 
@@ -126,7 +126,7 @@ def _pointing_error(measurements: Measurements, view: int, grid: Grid) -> float:
 
 
 def _grown(pixels: np.ndarray, by: float) -> np.ndarray:
-    """Pixels and all that lie up to so many pixels away, rounded up."""
+    """Pixels and all that lie up to `by` pixels away along rows and columns, rounded up."""
     from scipy.ndimage import binary_dilation
 
     reach = int(np.ceil(by))
@@ -134,9 +134,9 @@ def _grown(pixels: np.ndarray, by: float) -> np.ndarray:
 
 
 def _of_the_quietest(error: np.ndarray) -> np.ndarray:
-    """The errors of pixels without what was pooled into them from noisier neighbours; where unknown, beyond all.
+    """The errors of pixels without the share of noisier neighbours in them; infinite where unknown.
 
-    A pixel that is alone with its error has it from nobody else, and keeps it.
+    An error that is far above those of all touching pixels does not come from them, and stays.
     """
     from scipy.ndimage import maximum_filter, percentile_filter
 
@@ -176,16 +176,16 @@ def carve(
 
     Parameters
     ----------
-    grid : of the domain
+    grid : grid of the domain
     measurements : images, their standard errors and views
     cloud_free : the same images without cloud, for instance rendered from an extinction of zeros
-        under the same sun, with the same surface and air; with samples enough that they are
-        less noisy than the measurements
+        under the same sun, with the same surface and air, and with so many samples that they
+        are less noisy than the measurements
     contrast, significance : see `cloudy_pixels`
 
     Returns
     -------
-    bool, shape of the grid
+    whether a voxel may hold cloud: bool, shape of the grid
 
     Raises
     ------
@@ -204,9 +204,9 @@ def carve(
 
 
 def _seen_clear(view: AffineView, grid: Grid, first: int, last: int, table: np.ndarray) -> np.ndarray:
-    """Which voxels of the slab first <= x < last a view sees whole, and free of cloud.
+    """Which voxels of the slab first <= x < last a view sees completely and without cloud.
 
-    `table` is the summed-area table of the cloudy pixels: the number of them above and left.
+    `table` is the summed-area table of the cloudy pixels: their number above and to the left.
     """
     box = footprints(view, grid, first, last)
     number = (

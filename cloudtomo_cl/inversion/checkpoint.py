@@ -1,9 +1,8 @@
 """Checkpoints: all that a reconstruction needs to go on as if it had never been stopped.
 
 Random numbers need no state: they are a function of seed, iteration, view, pixel and sample
-(docs/reference/random-numbers.md). What is kept: the descent's extinction, mean and moments, the remembered
-images, stage, iteration and history; and what the run is a run of, so that it is not gone on
-with under other settings.
+(docs/reference/random-numbers.md). A checkpoint keeps the solver's state, the mask, stage, iteration and history;
+and the run's identity (settings and digests of its data), so that nobody goes on with other settings.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from cloudtomo_cl.scene.scene import Scene
 
 FORMAT = 9
 _DIGEST = "sha256:"
-# Lists longer than this are kept as a digest.
+# Lists with more entries than this are kept as a digest.
 _LONG = 32
 # Time between checkpoints is at least this many times the time that writing one takes.
 _LEAST_WORK = 20.0
@@ -44,14 +43,14 @@ class Checkpoint:
 
     Attributes
     ----------
-    identity : what it is a reconstruction of and how, from `identity_of`
+    identity : settings and digests of data that the run was started with, from `identity_of`
     device : name of the device that it ran on
-    stage : counted from 0
-    iterations : done in this stage
-    seconds : since the start of the run
-    stage_ends : seconds, of the stages before this one
-    history : the fields of every iteration's record
-    state : the arrays of the solver's state, and the mask
+    stage : number of the stage, counted from 0
+    iterations : number of iterations done in this stage
+    seconds : time since the start of the run
+    stage_ends : ends of the stages before this one, seconds since the start of the run
+    history : fields of every iteration's record
+    state : arrays of the solver's state, and the mask
     """
 
     identity: dict[str, Any]
@@ -69,7 +68,7 @@ class Checkpoint:
 
     @property
     def mask(self) -> np.ndarray:
-        """bool, on the finest grid"""
+        """Which voxels may hold cloud: bool, shape of the finest grid."""
         return self.state["mask"].astype(bool)
 
     @property
@@ -78,7 +77,7 @@ class Checkpoint:
         return {name: array for name, array in self.state.items() if name != "mask"}
 
     def check(self, identity: dict[str, Any]) -> None:
-        """DataError if the run with this identity is another one; it names every key that differs."""
+        """Raises DataError, which names every key that differs, if a run has another identity."""
         differences = _differences(self.identity, json.loads(json.dumps(identity)))
         if differences:
             raise DataError(
@@ -97,7 +96,7 @@ class Checkpoint:
         header = {name: value for name, value in vars(self).items() if name != "state"}
         digests = {name: _digest(array) for name, array in self.state.items()}
         text = json.dumps({"format": FORMAT, "digests": digests, **header}).encode()
-        # As np.savez does it, which on a full disk leaves an archive open that fails once more when it is collected.
+        # The format of np.savez, which on a full disk leaves an archive open that fails once more when collected.
         with written_whole(path) as partial, zipfile.ZipFile(partial, "w") as archive:
             for name, array in {"header": np.frombuffer(text, np.uint8), **self.state}.items():
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
@@ -105,7 +104,7 @@ class Checkpoint:
 
 
 class _Header(BaseModel):
-    """What a file holds beside arrays: numbers are in their ranges."""
+    """What a file holds besides arrays; pydantic checks the ranges of its numbers."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -136,7 +135,7 @@ def read_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
         text = bytes(state.pop("header"))
         found = json.loads(text)["format"]
         checkpoint = _checked(text, state) if found == FORMAT else None
-    except Exception as error:  # what a damaged file may raise has no end
+    except Exception as error:  # a damaged file may raise anything
         if isinstance(error, ValidationError):
             first = error.errors()[0]
             error = ValueError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}")
@@ -148,7 +147,7 @@ def read_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
 
 
 def _checked(text: bytes, state: dict[str, np.ndarray]) -> Checkpoint:
-    """What a header and arrays make, if they belong together; ValueError if not."""
+    """The checkpoint of a header and arrays; raises ValueError if they do not belong together."""
     header = _Header.model_validate_json(text)
     digests = header.digests
     wrong = [name for name in {*digests, *state} if name not in state or digests.get(name) != _digest(state[name])]
@@ -172,12 +171,12 @@ def identity_of(
 ) -> dict[str, Any]:
     """All that decides the bits of a reconstruction, in the types of JSON: settings, and digests of arrays.
 
-    But for the number of iterations of the last stage: a run that has not settled may go on. A prior's file counts by
-    its mixtures, not by its name: it may move, but not hold others.
+    The number of iterations of the last stage is left out: a run that has not settled may go on with more. A prior's
+    file counts by its mixtures, not by its name: it may move, but must hold the same mixtures.
 
     Raises
     ------
-    DataError : the prior's file is none
+    DataError : the prior's file holds no mixtures
     """
 
     def settings(value: Any, *without: str) -> Any:
@@ -208,11 +207,11 @@ def _of_prior(prior: Any) -> Any:
 
 
 def _of_object(value: Any, *without: str) -> Any:
-    """The settings of a prior or solver; of one that is the user's own its class, and what `repr` says of it."""
+    """The settings of a prior or solver of this package; for a user's object its class and `repr`."""
     if hasattr(type(value), "__pydantic_fields__"):
         return _shortened(TypeAdapter(type(value)).dump_python(value, mode="json", exclude={*without}))
     text = repr(value)
-    # Python's own representation has the object's address in it, which another run would not have.
+    # Python's default representation has the object's address in it, which another run would not have.
     named = "" if text.endswith(f" at {hex(id(value))}>") else text
     return [f"{type(value).__module__}.{type(value).__qualname__}", named]
 
@@ -256,13 +255,13 @@ def _shown(value: Any) -> str:
 
 
 class Checkpoints:
-    """Takes checkpoints every so often, and hands them to a file or to a function.
+    """Takes checkpoints at intervals, and hands them to a file or to a function.
 
     Parameters
     ----------
-    target : a path, a function that takes a `Checkpoint`, or nothing
+    target : path, function that takes a `Checkpoint`, or None
     interval : seconds between checkpoints; more, where writing one takes more than 5 % of it
-    ranks : of which the first decides and writes; what it writes does not follow from their number
+    ranks : ranks, of which the first decides and writes; what it writes does not depend on their number
     """
 
     def __init__(
@@ -278,7 +277,7 @@ class Checkpoints:
         self._last: tuple[int, int] | None = None
 
     def take(self, now: bool, stage: int, iterations: int, make: Callable[[], Checkpoint]) -> None:
-        """Takes the checkpoint that `make` makes if it is time, or now; never the same one twice."""
+        """Takes the checkpoint that `make` makes, if it is due or `now` is true; never the same one twice."""
         if self._target is None or self._last == (stage, iterations):
             return
         start = time.monotonic()

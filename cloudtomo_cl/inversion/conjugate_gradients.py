@@ -1,4 +1,4 @@
-"""Conjugate gradients with bounds: the minimum of terms on a device over what is not negative."""
+"""Conjugate gradients with bounds: the minimum of a sum of terms, over x >= 0, on a device."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from cloudtomo_cl.opencl.device import Device, device_errors
 from cloudtomo_cl.opencl.gathering import Gathering
 from cloudtomo_cl.opencl.layout import STRUCTS
 
-# Ended when two steps in a row have gained less than this share of all that was gained.
+# A minimisation ends when each of two steps in a row gains less than this share of all gains so far.
 TOLERANCE = 1e-7
-# A step that goes farther than a term of unknown form was looked at: at most so many times as far.
+# A term that is not quadratic is evaluated at the end of the tried step: the step taken is at most this many times as
+# long.
 _EXTRAPOLATION = 2.0
 
 
@@ -33,27 +34,28 @@ def minimised(
     tolerance: float = TOLERANCE,
     upper: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The x from 0 to an upper bound that makes a sum of terms least, as far as so many products come.
+    """The x between 0 and an upper bound that minimises a sum of terms, as far as `iterations` iterations come.
 
-    Every iteration takes one product with the second derivatives. A direction is the scaled gradient of what is free,
-    and as much of the last change as makes it conjugate to it. A step along it is put onto the bounds where it crosses
-    them, and the minimum on the way there is the next point: so the active bounds change by many at once, the function
-    never rises, and where no bound is met these are conjugate gradients with a diagonal preconditioner. The device
-    chooses steps, too: it never waits for the host. (docs/decisions/inner-minimisation.md compares it with others.)
+    Every iteration takes one product with the Hessian. Its direction is the scaled negative gradient, plus as much of
+    the last change as makes it conjugate to that change. A step along the direction is projected onto the bounds where
+    it crosses them, and the minimum on the straight line to there is the next point. So many active bounds change at
+    once, the function never rises, and where no bound is met this is the method of conjugate gradients with a diagonal
+    preconditioner. The device chooses the steps, too, and never waits for the host.
+    (docs/decisions/inner-minimisation.md compares this with other methods.)
 
     Parameters
     ----------
-    terms : convex, or nearly so
-    start : shape (unknowns,), within the bounds
-    hessian_diagonal : about the second derivative's diagonal, positive, shape (unknowns,)
-    iterations : at most, at least 1
-    device : where to compute
-    tolerance : share of all that was gained that two iterations in a row gain in the end
-    upper : shape (unknowns,); by default there is no bound but 0
+    terms : terms of the function, convex or nearly so
+    start : x to begin with, shape (unknowns,), within the bounds
+    hessian_diagonal : approximate diagonal of the Hessian, positive, shape (unknowns,)
+    iterations : largest number of iterations, at least 1
+    device : device that computes
+    tolerance : least gain of an iteration, as a share of all gains; two poorer ones in a row end the minimisation
+    upper : upper bound of x, shape (unknowns,); by default the only bound is 0
 
     Returns
     -------
-    shape (unknowns,), float64
+    x at the minimum, shape (unknowns,), float64
     """
     return _Minimisation(terms, start, hessian_diagonal, np.inf if upper is None else upper, device).run(
         iterations, tolerance
@@ -61,10 +63,7 @@ def minimised(
 
 
 class _Minimisation:
-    """Where a minimisation stands: x, the terms' gradient there, the last change and the Hessian's product with it.
-
-    All on the device.
-    """
+    """State of a minimisation, on the device: x, the gradient there, the last change, the Hessian times that change."""
 
     def __init__(
         self,
@@ -100,8 +99,8 @@ class _Minimisation:
             self._step(iterations, tolerance)
 
         repeated = self._device.repeated if self._repeats else nullcontext
-        # Where that costs the host nothing it is an iteration ahead, so that the device has something to do while it
-        # looks whether that was the last one; one too many changes nothing. After as many as may be it is not.
+        # If repeating an iteration costs the host little, it queues one iteration ahead: the device has work while the
+        # host looks whether the one before was the last. A superfluous iteration changes nothing.
         behind: deque[tuple[np.ndarray, Any]] = deque()
         with repeated(iterate) as again:
             for number in count(1):
@@ -115,7 +114,7 @@ class _Minimisation:
         raise AssertionError("a minimisation has no end")
 
     def _look(self) -> None:
-        """Makes the next change, and the Hessian's product with it."""
+        """Computes the next change that is tried, and the Hessian's product with it."""
         vectors = self._vectors
         vectors.launch(
             "next_change", x=self._x, upper=self._upper, gradient=self._gradient,
@@ -123,12 +122,12 @@ class _Minimisation:
         )  # fmt: skip
         for term in self._quadratic:
             term.add_product(self._change, self._product)
-        # Of several ranks, once for all terms.
+        # With several ranks: one exchange for the sum of all terms.
         self._gathering.complete(self._product)
         self._hessian_change = self._secant() if self._others else self._product
 
     def _secant(self) -> DeviceArray:
-        """The product, and how much the other terms' gradient changes along the change."""
+        """The Hessian's product, plus the change of the other terms' gradient along the change."""
         vectors = self._vectors
         there, product, gradient = self._x.copy(), self._product.copy(), vectors.zeros()
         vectors.add(1.0, self._change, there)
@@ -139,7 +138,7 @@ class _Minimisation:
         return product
 
     def _step(self, iterations: int, tolerance: float) -> None:
-        """Takes as much of the change as makes the function least, and sees what makes the next one conjugate."""
+        """Takes the part of the change that minimises the function, and makes the next direction conjugate to it."""
         vectors, state, sums = self._vectors, self._state, self._sums
         vectors.launch_parts(
             "sums_of_change", x=self._x, upper=self._upper, gradient=self._gradient, change=self._change,

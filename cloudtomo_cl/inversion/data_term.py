@@ -1,4 +1,4 @@
-"""The data term of a linear model on a device: weighted residuals, what calibration explains of them, and damping."""
+"""The data term of a linear model on a device: weighted residuals without the calibration's part, and damping."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cloudtomo_cl.opencl.gathering import Gathering
 from cloudtomo_cl.parallel.ranks import Shares
 from cloudtomo_cl.transport.jacobian import Jacobian
 
-# Pixels of a view whose sums are made at a time.
+# Number of a view's pixels in each partial sum.
 _PIXELS_OF_PART = 64
 
 
@@ -23,14 +23,14 @@ class ResidualWeights:
 
     Parameters
     ----------
-    weights : W, shape (pixels,)
-    calibration : C
-    image : that gains multiply, shape (pixels,)
-    device : where to compute
+    weights : weights W of the squared residuals, shape (pixels,)
+    calibration : calibration C of the views
+    image : image that gains multiply, shape (pixels,)
+    device : device that computes
 
     Attributes
     ----------
-    device
+    device : device that computes
     """
 
     def __init__(self, weights: np.ndarray, calibration: Calibration, image: np.ndarray, device: Device) -> None:
@@ -44,7 +44,7 @@ class ResidualWeights:
         self._matrix = device.constant(matrix.astype(np.float32))
         self._views = len(matrix) // self._basis_count if self._basis_count else 0
         self._fitted = device.zeros(max(len(matrix), 1), np.float32)
-        # Views in parts, which are added in their order.
+        # Each view's pixels in parts, whose sums are added in their order: the same bits on every device.
         order = np.argsort(calibration.view, kind="stable")
         sizes = np.bincount(calibration.view, minlength=self._views)
         parts = -(-sizes // _PIXELS_OF_PART)
@@ -56,7 +56,7 @@ class ResidualWeights:
         self._sums = device.zeros(max(self._parts * self._basis_count, 1), np.float32)
 
     def weigh(self, residual: DeviceArray, result: DeviceArray) -> None:
-        """Makes `result` of a residual; both have the shape (pixels,)."""
+        """Writes W C times a residual into `result`; both have the shape (pixels,)."""
         if self._basis_count:
             self._launch(
                 "sum_basis", self._parts * self._basis_count, part_count=self._parts, part_start=self._part_start,
@@ -81,11 +81,11 @@ class DataTerm:
 
     Parameters
     ----------
-    jacobian : J, shape (pixels, voxels)
-    residual_weights : W C
+    jacobian : Jacobian J of the images, shape (pixels, voxels)
+    residual_weights : weights W C of the residual
     residual : modelled minus measured image at the start, shape (pixels,)
-    start : shape (voxels,)
-    damping : D's diagonal, shape (voxels,)
+    start : extinction around which images are linear, km^-1, shape (voxels,)
+    damping : diagonal of D, shape (voxels,)
     """
 
     quadratic: ClassVar[bool] = True
@@ -112,7 +112,7 @@ class DataTerm:
         return self._jacobian.voxel_shares
 
     def gradient(self, x: np.ndarray) -> np.ndarray:
-        """At x, shape (voxels,): float64, on the host."""
+        """The gradient at x, shape (voxels,), float64, on the host."""
         gradient = self._vectors.zeros()
         self.add_gradient(self._vectors.of(x), gradient)
         Gathering(self._residual_weights.device, self.shares).complete(gradient)
@@ -129,7 +129,7 @@ class DataTerm:
         self._add(x, result)
 
     def _add(self, change: DeviceArray, result: DeviceArray) -> None:
-        """Adds what follows from the image and a change of the extinction."""
+        """Adds J^T W C times `self._image`, and D times a change of the extinction."""
         self._residual_weights.weigh(self._image, self._weighed)
         self._jacobian.transposed(self._weighed, self._transposed)
         self._vectors.launch(

@@ -1,4 +1,4 @@
-"""How much memory a stage of a recovery takes."""
+"""Memory that a stage of a recovery takes."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.transport.radiance import footprint
 from cloudtomo_cl.transport.tiles import about_how_many_entries
 
-# On the device: the prior's arrays. On the host: extinctions of the stage and of the finest grid.
+# Bytes per voxel of the prior's arrays on the device; and on the host of extinctions, of the stage and the finest grid.
 _PRIOR_BYTES_PER_VOXEL, _HOST_BYTES_PER_VOXEL = 56, 40
 
 
 def deep_growth(stage: Stage, solver: Any, mask: np.ndarray | None) -> Footprint:
-    """What a stage may take beyond its footprint, if the cloud is as deep as can be.
+    """Memory that a stage may take beyond its footprint, if the cloud is as deep as can be.
 
-    A warning is made of it, no refusal: how deep a cloud is, images tell. The radiance table may triple, which at 128^3
-    is 1.5 GB of 6.5 GB, but a recovery there has taken 5.1 GB in all: machines of 8 GB would be refused what they hold.
+    Callers warn, and do not refuse: only the images tell how deep a cloud is. The radiance table may triple, which at
+    128^3 voxels is 1.5 GB of 6.5 GB; but a recovery there took 5.1 GB in all, so a refusal would shut out machines of
+    8 GB that have enough.
 
     Parameters
     ----------
-    solver : whose method `deep_growth(voxels)`, if there is one, says what it takes
-    mask : bool, on the scene's grid; without one nothing is known
+    solver : solver, whose optional method `deep_growth(voxels)` gives the memory
+    mask : voxels that may hold cloud, bool, on the scene's grid; None: nothing is known
     """
     if mask is None or not hasattr(solver, "deep_growth"):
         return Footprint()
@@ -45,17 +46,18 @@ def stage_footprint(
     mask: np.ndarray | None = None,
     ranks: int = 1,
 ) -> Footprint:
-    """What a stage takes at its largest.
+    """Memory that a stage takes at its peak.
 
     Parameters
     ----------
-    solver : whose method `footprint(pixels, voxels, longest, entries)` says what it keeps
-    mask : bool, on the scene's grid; without one all pixels and voxels count, and what solvers keep does not
-    ranks : that share the pixels: what one of them takes
+    solver : solver, whose method `footprint(pixels, voxels, longest, entries)` gives what it keeps
+    mask : voxels that may hold cloud, bool, on the scene's grid; None: all pixels and voxels count, but nothing that
+        the solver keeps
+    ranks : number of ranks that share the pixels; the result is for one of them
 
     Raises
     ------
-    DataError : there are more voxels or pixels than kernels count; no pixel sees the mask
+    DataError : there are more voxels or pixels than kernels can count; no pixel sees the mask
     """
     voxels, finest = voxels_of(stage.grid), voxels_of(scene.grid.shape)
     pixels = sum(image.size for image in measurements.images)

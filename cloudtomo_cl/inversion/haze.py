@@ -1,4 +1,4 @@
-"""Haze beside a cloud: what is left in voxels that are clear."""
+"""Haze beside a cloud: a little extinction that a recovery leaves in voxels which are clear."""
 
 from __future__ import annotations
 
@@ -7,30 +7,31 @@ import numpy as np
 from cloudtomo_cl.inversion.data_term import DataTerm
 from cloudtomo_cl.inversion.voxels import Voxels
 
-# Less than this share of the mean extinction of the cloud around it is haze: about what values of a clear patch differ
-# by, 0.02 and the patches' noise of 0.03 (docs/decisions/haze.md).
+# A voxel with less than this share of the mean extinction of the cloud around it is haze. It is about the deviation of
+# values in a clear patch, 0.02, with the patches' noise of 0.03 (docs/decisions/haze.md).
 _SHARE = 0.04
-# Around a voxel are those that share a patch of 5 x 5 x 3 with it.
+# Size of a voxel's surroundings, voxels along x, y, z: those that share a patch of 5 x 5 x 3 with it.
 _AROUND = (9, 9, 5)
 
 
 def without_haze(extinction: np.ndarray, voxels: Voxels, data: DataTerm, unit: float) -> np.ndarray:
-    """The extinction with voxels that are thin beside those around them made clear, km^-1, shape (voxels,).
+    """The extinction, km^-1, shape (voxels,), with voxels set to 0 that are much thinner than the cloud around them.
 
-    Images hardly tell a sharp edge of a cloud from one with some haze before it, and Gaussians know no sharp edges: a
-    fifth of a recovery's error was in voxels that are clear. The measure is the mean extinction of the cloud around
-    each voxel, s = sum b^2 / sum b, so that a thin cloud stays where no dense one is near.
+    Images hardly tell a cloud's sharp edge from one with some haze before it, and the prior's Gaussians have no sharp
+    edges: a fifth of a recovery's error was in voxels that are clear. A voxel is compared with the mean extinction of
+    the cloud around it, s = sum b^2 / sum b, so that a thin cloud stays where no dense one is near.
 
-    Where the images do tell, a thin cloud stays beside a dense one, too: where the data term without these voxels would
-    rise by more than its unit for each of them, as Akaike 1974 weighs parameters. With d the change, and g and h the
-    gradients before and after, it rises by sum_v d_v (g_v + h_v) / 2: what voxels around one have of that decides.
+    A thin cloud beside a dense one stays, too, where the images show it: where the data term would rise by more than
+    its unit for each voxel that is set to 0 (Akaike 1974 weighs parameters like this). With the change d, and the
+    gradients g before and h after it, the data term rises by sum_v d_v (g_v + h_v) / 2. For each voxel the part of this
+    sum in its surroundings decides.
 
     Parameters
     ----------
-    extinction : km^-1, shape (voxels,)
-    voxels : where they lie
-    data : the data term, without damping
-    unit : mean weighted variance of a pixel's noise
+    extinction : extinction of the mask's voxels, km^-1, shape (voxels,)
+    voxels : grid and mask of these voxels
+    data : data term without damping
+    unit : mean over pixels of weight times noise variance
     """
     from scipy.ndimage import uniform_filter
 

@@ -15,13 +15,13 @@ from cloudtomo_cl.inversion.mixture_fit import cloudy_patches, fitted_mixture
 from cloudtomo_cl.memory import require
 from cloudtomo_cl.scene.grid import Grid
 
-# Voxels of a patch along x, y, z.
+# Size of a patch, voxels along x, y, z.
 SIZE = (5, 5, 3)
-# Voxels are of one shape whose aspect ratios differ by no more.
+# Voxels have the same shape if their aspect ratios differ by no more than this factor.
 SAME_SHAPE = 1.1
-# Of patches and of their shares there are copies while a mixture is fitted.
+# Copies of the patches and their shares that exist while a mixture is fitted, and bytes of a number.
 _COPIES, _BYTES = 4, 4
-# Called with how many rounds are done, and of how many.
+# Function that is called with the number of rounds that are done, and of all rounds.
 Rounds = Callable[[int, int], None]
 
 
@@ -31,9 +31,9 @@ class Learning:
 
     Attributes
     ----------
-    components : of patches with cloud; one more is of patches without
-    patches : at most, of clouds whose voxels have one shape, in equal parts
-    rounds : of expectation maximisation
+    components : number of components for patches with cloud; one more is for patches without
+    patches : largest number of patches for voxels of one shape, the same number from each cloud
+    rounds : number of rounds of expectation maximisation
     """
 
     components: int = 30
@@ -47,10 +47,10 @@ class LearntMixture:
 
     Attributes
     ----------
-    aspect : height of the voxels over their width, the clouds' geometric mean
-    clouds : their places among those given
-    patches : how many
-    mixture : of them
+    aspect : height of the voxels over their width, geometric mean over the clouds
+    clouds : indices of the clouds among those given
+    patches : number of patches
+    mixture : mixture fitted to the patches
     """
 
     aspect: float
@@ -62,18 +62,18 @@ class LearntMixture:
 def learnt_mixture(
     clouds: Sequence[np.ndarray], learning: Learning, random: np.random.Generator, progress: Rounds | None = None
 ) -> tuple[Mixture, int]:
-    """The mixture of clouds whose voxels have one shape, and how many patches it was learnt from.
+    """The mixture of clouds whose voxels have one shape, and the number of patches it was learnt from.
 
     Parameters
     ----------
-    clouds : extinctions of any unit, each by its own mean extinction; clear air stands around them
-    learning : how
-    random : what patches and the start are drawn from
-    progress : called after every round
+    clouds : extinctions in any unit, since each is divided by its mean extinction; clear air is added around them
+    learning : numbers of components, patches and rounds
+    random : generator for the choice of patches and the start of the fit
+    progress : function that is called after every round
 
     Raises
     ------
-    DataError : a cloud without extinction; too few patches with cloud for so many components; too little memory
+    DataError : a cloud without extinction; too few patches with cloud for the components; too little memory
     """
     numbers = learning.patches * (math.prod(SIZE) + learning.components)
     require(_COPIES * _BYTES * numbers, f"learning from {learning.patches} patches", "take fewer patches")
@@ -84,18 +84,18 @@ def learnt_mixture(
 def learnt_mixtures(
     clouds: Sequence[tuple[Grid, np.ndarray]], learning: Learning, seed: int, progress: Rounds | None = None
 ) -> list[LearntMixture]:
-    """A mixture for each shape that the clouds' voxels have, the flattest first.
+    """A mixture for each shape of the clouds' voxels, the flattest first.
 
     Parameters
     ----------
-    clouds : grid and extinction of each
-    learning : how
-    seed : the same gives the same mixtures, with the same NumPy and BLAS
-    progress : called after every round, of all shapes together
+    clouds : grid and extinction of each cloud
+    learning : numbers of components, patches and rounds
+    seed : seed of the random numbers; the same one gives the same mixtures, with the same NumPy and BLAS
+    progress : function that is called after every round, with the rounds of all shapes
 
     Raises
     ------
-    DataError : as `learnt_mixture`; there is no cloud
+    DataError : there is no cloud; otherwise as `learnt_mixture`
     """
     if not clouds:
         raise DataError("there is no cloud to learn from: give at least one")
@@ -115,12 +115,12 @@ def learnt_mixtures(
 
 
 def mixture_file(learnt: Sequence[LearntMixture]) -> MixtureFile:
-    """What `[prior] file` takes."""
+    """Mixtures as a file for the setting `[prior] file`."""
     return MixtureFile(tuple(one.aspect for one in learnt), tuple(one.mixture for one in learnt))
 
 
 def by_shape(aspects: Sequence[float]) -> list[list[int]]:
-    """Places of aspect ratios that are one shape: none is more than a tenth above the least of its group."""
+    """Indices of aspect ratios in groups of one shape: none is more than a tenth above the least of its group."""
     groups: list[list[int]] = []
     for place in sorted(range(len(aspects)), key=lambda place: aspects[place]):
         if not groups or aspects[place] > SAME_SHAPE * aspects[groups[-1][0]]:
@@ -130,7 +130,7 @@ def by_shape(aspects: Sequence[float]) -> list[list[int]]:
 
 
 def _rounds_before(progress: Rounds | None, number: int, groups: int) -> Rounds | None:
-    """The same, of one group's rounds; as many are of each."""
+    """`progress` for the rounds of the group `number`; all groups have the same number of rounds."""
     if progress is None:
         return None
     return lambda done, rounds: progress(number * rounds + done, groups * rounds)

@@ -1,4 +1,4 @@
-"""Images as a linear function of the extinction, near one: what solvers minimise with."""
+"""Images as a linear function of the extinction, near a given one."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from cloudtomo_cl.transport.jacobian import Jacobian
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """Images near an extinction: image(x) is about `image` + `jacobian` (x - `x0`).
+    """Images near an extinction `x0`: image(x) is about `image` + `jacobian` (x - `x0`).
 
     Attributes
     ----------
     x0 : extinction of the mask's voxels, km^-1, shape (voxels,)
-    image : radiances there, W m^-2 sr^-1, shape (pixels,)
-    variance : of their noise, shape (pixels,)
-    jacobian : a `scipy.sparse.linalg.LinearOperator`, shape (pixels, voxels), W m^-2 sr^-1 km
-    rendering : what image and jacobian were made of
+    image : radiances at x0, W m^-2 sr^-1, shape (pixels,)
+    variance : variance of their noise, (W m^-2 sr^-1)^2, shape (pixels,)
+    jacobian : derivatives, a `scipy.sparse.linalg.LinearOperator`, shape (pixels, voxels), W m^-2 sr^-1 km
+    rendering : rendering that image and jacobian were made of
     """
 
     x0: np.ndarray

@@ -1,4 +1,4 @@
-"""How much of a prior's pull on a cloud's mass a step takes back: as much as recoveries of simulated images lose."""
+"""The share of a prior's pull on a cloud's mass that a step takes back, so that recoveries keep the mass on average."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-# Draws of the images' noise that the share is found by, each with its opposite.
+# Number of draws of the images' noise that the share is found with; each is used with both signs.
 PAIRS = 1
 
 
 def is_due(iterations: int) -> bool:
-    """Whether the share is found anew after so many fitted iterations: at 1, 2, 4, 8, ..., for it settles."""
+    """Whether the share is found anew after this number of fitted iterations: 1, 2, 4, 8, ..., since it settles."""
     return iterations & (iterations - 1) == 0
 
 
@@ -20,21 +20,22 @@ def share_that_keeps_mass(
 ) -> float:
     """The share of the prior's pull that is to be taken back at an extinction.
 
-    Images of the extinction with noise are recovered as a step does it: with nothing and with all taken back. Between
-    the two lies the share with which the mass is kept on average: a parametric bootstrap (Efron and Tibshirani 1993,
-    section 6.5). The bias that a prior gives a linear functional of the unknowns is taken off the functional, not off
-    each unknown: so do Javanmard and Montanari 2014 and Zhang and Zhang 2014 by the data's slope. What bounds add, by
-    which noise makes thin voxels thicker on average, is in it. Each draw's opposite takes off what is linear in it.
+    Noisy images of the extinction are recovered as in a step, once with nothing of the pull taken back (share 0) and
+    once with all of it (share 1). The share that keeps the mass on average is interpolated: a parametric bootstrap
+    (Efron and Tibshirani 1993, section 6.5). So the prior's bias is corrected for one linear functional of the
+    unknowns, the mass, not for each unknown, as in Javanmard and Montanari 2014 and Zhang and Zhang 2014, who use the
+    data's slope. The effect of the bound at 0, by which noise makes thin voxels thicker on average, is included. Using
+    each draw with both signs cancels what is linear in the noise.
 
     Parameters
     ----------
-    recovered : makes the extinction of what noise adds to the data term's slope, and a share
-    extinction : km^-1, shape (voxels,)
-    noise : such slopes, shape (voxels, draws)
+    recovered : function of the noise's part in the data term's slope and of a share; gives the recovered extinction
+    extinction : extinction whose images are simulated, km^-1, shape (voxels,)
+    noise : draws of the noise's part in the data term's slope, shape (voxels, draws)
 
     Returns
     -------
-    from 0, for what noise adds to the mass is no reason to make a cloud thinner, to 1
+    the share, from 0 to 1: it is never negative, for mass that noise adds is no reason to make a cloud thinner
     """
     opposite = [sign * draw for draw in noise.T for sign in (1.0, -1.0)]
     with_nothing, with_all = (

@@ -1,4 +1,4 @@
-"""A mixture of Gaussians of small patches of clouds: what clouds look like in the small."""
+"""A mixture of Gaussians for small patches of clouds: what clouds look like on a small scale."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """Gaussians of patches' values, which are in units of the cloud's mean extinction (`mean_extinction`).
+    """A mixture of Gaussians for the values of patches, in units of the cloud's mean extinction (`mean_extinction`).
 
-    The first component is that of patches without cloud.
+    The first component stands for patches without cloud.
 
     Attributes
     ----------
-    size : voxels of a patch along x, y, z
-    weights : of the components, shape (components,)
-    means : shape (components, values), values in the order of a patch's array, z fastest
-    covariances : shape (components, values, values)
+    size : size of a patch, voxels along x, y, z
+    weights : probabilities of the components, shape (components,)
+    means : means of the components, shape (components, values), values in the order of a patch's array, z fastest
+    covariances : covariances of the components, shape (components, values, values)
     """
 
     size: tuple[int, int, int]
@@ -35,7 +35,7 @@ class Mixture:
 
     @cached_property
     def _axes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Variances along the principal axes, the least first, shape (components, values), and the axes as columns."""
+        """Variances along the principal axes, least first, shape (components, values), and the axes as columns."""
         variances, axes = np.linalg.eigh(self.covariances)
         return np.maximum(variances, 0.0), axes
 
@@ -45,16 +45,16 @@ class Mixture:
         return (axes / (variances + noise**2)[:, None, :]) @ axes.transpose(0, 2, 1)
 
     def constants(self, noise: float) -> np.ndarray:
-        """What a component's minus log density has beside its quadratic form, but for 2 pi, shape (components,)."""
+        """Constant of each component's minus log density, without the factor 2 pi, shape (components,)."""
         return 0.5 * np.log(self._axes[0] + noise**2).sum(axis=1) - np.log(self.weights)
 
     def whitening(self, noise: float) -> tuple[np.ndarray, np.ndarray]:
-        """What patches with noise of this standard deviation are independent along, with variance 1.
+        """Axes along which patches with noise of this standard deviation are independent and have variance 1.
 
         Returns
         -------
-        axes as rows, the narrowest first, shape (components, values, values), and the means along them, (components,
-        values)
+        axes as rows, the narrowest first, shape (components, values, values), and the means along them, shape
+        (components, values)
         """
         variances, axes = self._axes
         rows = (axes / np.sqrt(variances + noise**2)[:, None, :]).transpose(0, 2, 1)

@@ -1,4 +1,4 @@
-"""Files of mixtures of patches: netCDF, one mixture for each of several shapes of voxels."""
+"""NetCDF files with mixtures for patches, one for each of several shapes of voxels."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ _MEANINGS = {
     "mean": "extinction of a component's patches over the mean extinction of their cloud",
     "covariance": "covariance of the values of a component's patches",
 }
-# Voxels are like those that were learnt from if height over width differs by no more than this factor.
+# Voxels are like those of a mixture if their ratios of height to width differ by no more than this factor.
 _ALIKE = 1.5
-# Each of several devices' threads reads the prior of its own, and the netCDF library is not made for threads.
+# With several devices every thread reads the file, and the netCDF library is not safe in threads.
 _one_at_a_time = threading.Lock()
 
 
@@ -46,19 +46,19 @@ class MixtureFile:
 
     Attributes
     ----------
-    aspects : heights of the voxels over their widths
-    mixtures : one for each, of patches of one size and with as many components
+    aspects : height over width of the voxels of each mixture
+    mixtures : mixtures, with the same size of patches and number of components
     """
 
     aspects: tuple[float, ...]
     mixtures: tuple[Mixture, ...]
 
     def of_spacing(self, spacing: tuple[float, ...]) -> Mixture:
-        """That for voxels whose shape is the most like."""
+        """The mixture for voxels whose shape is the most similar."""
         return self.mixtures[int(np.argmin(self._factors(spacing)))]
 
     def unlike(self, spacing: tuple[float, ...]) -> str:
-        """What sets voxels apart from all that were learnt from, in words; empty if some are like them."""
+        """A text that says how voxels differ from those of all mixtures; empty if some are alike."""
         factors = self._factors(spacing)
         if factors.min() <= _ALIKE:
             return ""
@@ -69,13 +69,13 @@ class MixtureFile:
         )
 
     def _factors(self, spacing: tuple[float, ...]) -> np.ndarray:
-        """By which each shape differs from the voxels', 1 and more."""
+        """The factor by which each mixture's aspect ratio differs from the voxels', at least 1."""
         factors: np.ndarray = np.exp(np.abs(np.log(np.divide(self.aspects, aspect_ratio(spacing)))))
         return factors
 
     @property
     def digest(self) -> str:
-        """Of all numbers: the same for files of any names that hold the same mixtures."""
+        """A digest of all numbers: the same for all files that hold the same mixtures."""
         found = hashlib.sha256(np.array(self.aspects, np.float64).tobytes())
         for mixture in self.mixtures:
             for array in (mixture.size, mixture.weights, mixture.means, mixture.covariances):
@@ -85,13 +85,13 @@ class MixtureFile:
     def write(self, path: str | os.PathLike[str], attributes: Mapping[str, Any] | None = None) -> None:
         """Writes a netCDF file, whole or not at all; numbers in single precision.
 
-        weight (aspect_ratio, component), mean (aspect_ratio, component, patch_x, patch_y, patch_z), and of each
-        covariance the lower triangle, row by row: covariance (aspect_ratio, component, pair).
+        Its variables are weight (aspect_ratio, component), mean (aspect_ratio, component, patch_x, patch_y, patch_z),
+        and covariance (aspect_ratio, component, pair): the lower triangles, row by row.
 
         Parameters
         ----------
-        path : of the file
-        attributes : text or numbers; mappings are stored as JSON
+        path : path of the file
+        attributes : further attributes, text or numbers; mappings are stored as JSON
 
         Raises
         ------
@@ -123,9 +123,9 @@ def aspect_ratio(spacing: tuple[float, ...]) -> float:
 
 
 def read_mixtures(path: str | os.PathLike[str] = SHIPPED) -> MixtureFile:
-    """Mixtures that `MixtureFile.write` wrote; by default the ones that come with the package.
+    """Reads mixtures that `MixtureFile.write` wrote; by default the ones that come with the package.
 
-    The .npz files that scripts/learn_prior.py wrote before there was the command are read as well.
+    It also reads the older .npz files of scripts/learn_prior.py.
 
     Raises
     ------
@@ -138,7 +138,7 @@ def read_mixtures(path: str | os.PathLike[str] = SHIPPED) -> MixtureFile:
             return _of_arrays(*(_archived(path) if zipfile.is_zipfile(path) else _stored(path)))
     except MemoryError:
         raise
-    except Exception as error:  # what a damaged file may raise has no end
+    except Exception as error:  # a damaged file may raise anything
         why = str(error).removeprefix(f"{path}: ")
         raise DataError(
             f"{path}: holds no mixtures of patches, or is damaged ({why}): make it again with {LEARN}"
@@ -152,7 +152,7 @@ def _stored(path: Any) -> tuple[np.ndarray, ...]:
 
 
 def _archived(path: Any) -> tuple[np.ndarray, ...]:
-    """The same of an archive of NumPy's."""
+    """aspect_ratio, weight, mean and covariance of an older .npz file."""
     with np.load(path, allow_pickle=False) as file:
         means = file["means"].reshape(*file["weights"].shape, *map(int, file["size"]))
         return file["aspects"], file["weights"], means, file["covariances"]

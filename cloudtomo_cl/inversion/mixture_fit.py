@@ -12,32 +12,33 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion.mixture import Mixture
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
 
-# Patches without cloud: their share among those near a cloud, and what of cloud a voxel of theirs may hold, in units
-# of the mean extinction. And from which extinction on a patch is one with cloud.
+# Patches without cloud: their share of all patches near a cloud, and the standard deviation of their values. A patch
+# has cloud if a voxel of it exceeds _LEAST_CLOUD. Values are in units of the cloud's mean extinction.
 _CLEAR_SHARE, _CLEAR_DEVIATION, _LEAST_CLOUD = 0.5, 0.02, 0.01
-# Added to every variance: rounding, and directions in which too few patches differ.
+# Variance added in every direction: for rounding, and where too few patches differ.
 _LEAST_VARIANCE = 1e-4
+# Rounds of k-means.
 _MEANS_ROUNDS = 8
-# Responsibilities below are left out of sums.
+# Responsibilities (probabilities of a component given a patch) below this are left out of sums.
 _LEAST_SHARE = 1e-4
 
 
 def cloudy_patches(
     clouds: Sequence[np.ndarray], size: tuple[int, int, int], count: int, random: np.random.Generator
 ) -> np.ndarray:
-    """Patches that hold cloud, as many of each cloud, in units of its mean extinction.
+    """Patches with cloud, the same number from each cloud where it has so many, in units of its mean extinction.
 
-    Each is turned and mirrored about the vertical at random: on the ground no direction is another than the others.
+    Each is turned and mirrored about the vertical at random, since no horizontal direction is special.
 
     Parameters
     ----------
-    clouds : extinctions of any unit, with cubes or boxes of one shape as voxels; clear air stands around them
-    size : of a patch, as wide as long
-    count : of all, at most
+    clouds : extinctions in any unit, on voxels of one shape; clear air is added around them
+    size : size of a patch, voxels along x, y, z; the first two are equal
+    count : largest number of patches
 
     Returns
     -------
-    float32, shape (patches, values)
+    values of the patches, float32, shape (patches, values)
 
     Raises
     ------
@@ -76,19 +77,22 @@ def fitted_mixture(
     random: np.random.Generator,
     progress: Callable[[int, int], None] | None = None,
 ) -> Mixture:
-    """The mixture of most likelihood, by expectation maximisation (Dempster, Laird and Rubin 1977), begun by k-means;
-    and a first component for patches without cloud.
+    """The mixture of largest likelihood, with a first component added for patches without cloud.
+
+    It is found by expectation maximisation (Dempster, Laird and Rubin 1977), started by k-means.
 
     Parameters
     ----------
-    patches : float32, shape (patches, values)
-    components : of patches with cloud
-    rounds : of expectation and maximisation
-    progress : called after every round with how many are done, and of how many
+    patches : values of patches with cloud, float32, shape (patches, values)
+    size : size of a patch, voxels along x, y, z
+    components : number of components for patches with cloud
+    rounds : number of rounds of expectation maximisation
+    random : generator for the start of k-means
+    progress : function that is called after every round, with the number of rounds done and of all rounds
 
     Raises
     ------
-    DataError : fewer patches for each component than it has values: its covariance would be of less rank
+    DataError : fewer patches per component than a patch has values: covariances would not have full rank
     """
     values = math.prod(size)
     if len(patches) < components * values:
@@ -114,7 +118,7 @@ def fitted_mixture(
 
 
 def _clusters(patches: np.ndarray, components: int, random: np.random.Generator) -> np.ndarray:
-    """A cluster of each patch, by k-means from patches drawn at random."""
+    """The number of each patch's cluster, by k-means from patches drawn at random."""
     centres = patches[random.choice(len(patches), components, replace=False)]
     for _ in range(_MEANS_ROUNDS):
         nearest = ((centres**2).sum(axis=1) - 2 * patches @ centres.T).argmin(axis=1)
@@ -125,13 +129,13 @@ def _clusters(patches: np.ndarray, components: int, random: np.random.Generator)
 
 
 def _most_likely(patches: np.ndarray, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Weights, means and covariances of components that have these shares of patches."""
+    """Weights, means and covariances of components, from their shares of each patch, shape (patches, components)."""
     counts = shares.sum(axis=0, dtype=np.float64) + 1e-9
     means = (shares.T @ patches).astype(float) / counts[:, None]
     covariances = np.empty((len(counts), patches.shape[1], patches.shape[1]))
     for component, count in enumerate(counts):
-        own = shares[:, component] > _LEAST_SHARE
-        away = (patches[own] - means[component].astype(np.float32)) * np.sqrt(shares[own, component])[:, None]
+        counted = shares[:, component] > _LEAST_SHARE
+        away = (patches[counted] - means[component].astype(np.float32)) * np.sqrt(shares[counted, component])[:, None]
         covariances[component] = away.T @ away / count
     covariances += _LEAST_VARIANCE * np.eye(patches.shape[1])
     return counts / counts.sum(), means, covariances

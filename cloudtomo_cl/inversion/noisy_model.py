@@ -1,4 +1,4 @@
-"""The linear model of images and the prior, around an extinction, and what its slope may be off by."""
+"""A quadratic model of data term and prior around an extinction, with draws of its noise."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cloudtomo_cl.inversion.stage_prior import FrozenPrior
 from cloudtomo_cl.inversion.terms import Around, Term
 from cloudtomo_cl.opencl.device import Device
 
-# Of a minimisation: iterations at most, and the share of all that was gained that two in a row gain in the end.
+# Largest number of iterations of a minimisation, and its tolerance (conjugate_gradients.py).
 _ITERATIONS, _TOLERANCE = 40, 1e-5
 
 
@@ -23,14 +23,14 @@ class NoisyModel:
 
     Attributes
     ----------
-    terms : quadratic, whose second derivatives are the model's
-    hessian_diagonal : about the diagonal of these, shape (voxels of the mask,)
-    data_slope : of the data term at the extinction, same shape
-    slope_of_noise : draws noise of the images: what it adds to the slope of the data term, same shape
-    prior : as it stands there; its Gaussian part is among the terms
-    units : what it is multiplied with
-    extinction : km^-1, same shape
-    device : where to compute
+    terms : quadratic terms, whose Hessians add up to the model's
+    hessian_diagonal : approximate diagonal of that Hessian, shape (voxels of the mask,)
+    data_slope : gradient of the data term at the extinction, same shape
+    slope_of_noise : function that draws noise of the images and gives its part in that gradient, same shape
+    prior : prior with its form chosen at the extinction; its Gaussian part is among the terms
+    units : factors of the prior
+    extinction : extinction around which the model holds, km^-1, same shape
+    device : device that computes
     """
 
     terms: Sequence[Term]
@@ -44,10 +44,10 @@ class NoisyModel:
 
     @property
     def prior_slope(self) -> np.ndarray:
-        """Of the prior at the extinction, shape (voxels of the mask,)."""
+        """The gradient of the prior at the extinction, shape (voxels of the mask,)."""
         return self.prior.value_and_gradient(self.extinction, self.units)[1]
 
     def minimum(self, slope: np.ndarray) -> np.ndarray:
-        """Where the model is least over what is not negative, if it has this slope at the extinction; same shape."""
+        """The minimum, over extinctions that are not negative, of the model with this gradient at `extinction`."""
         model = Around(self.terms, self.extinction, slope, self.device)
         return minimised([model], self.extinction, self.hessian_diagonal, _ITERATIONS, self.device, _TOLERANCE)

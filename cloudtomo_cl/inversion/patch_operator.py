@@ -1,4 +1,4 @@
-"""The patch prior's kernels (patches.cl): components of patches, and the quadratic function that they make together."""
+"""The patch prior's kernels (patches.cl): choice of the patches' components, and the resulting quadratic function."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ from cloudtomo_cl.opencl.gathering import Gathering
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.transport.voxel_shares import ROW, voxel_shares
 
-# Ranks have patches in blocks of so many.
+# Patches in a block, which belongs to one rank.
 _PATCHES_OF_BLOCK = 64
-# Voxels of a tile of the stencil, in a row along z; and what stands for a patch that holds no voxel of the mask.
+# Voxels of a tile of the stencil, in a row along z; and the component number of places without a patch.
 _LANES, _NO_PATCH = ROW, 65535
 
 
-# Share of the tiles' voxels that are near cloud, and how many voxels share a patch of 5 x 5 x 3 with one.
+# Share of the tiles' voxels that are near cloud, and number of voxels that share a patch of 5 x 5 x 3 with one voxel.
 _TILES_FILLED, _NEIGHBOURS = 0.6, 405
 
 
 def stencil_footprint(voxels: int) -> Footprint:
-    """What a step's stencil takes of so many voxels near cloud."""
+    """Memory of a step's stencil for a number of voxels near cloud."""
     size = 4.0 * _NEIGHBOURS * voxels / _TILES_FILLED
     return Footprint(size, size)
 
 
 @dataclass(frozen=True, eq=False)
 class _Components:
-    """A mixture's components as kernels take them, for patches with noise of one standard deviation; on the device.
+    """A mixture's components as kernels take them, on the device, for patches with noise of one standard deviation.
 
     Attributes
     ----------
-    noise : in units of s
-    whitening, white_means, constants : what makes one likely
-    precision, slope : its quadratic form and linear one
-    diagonal : of the precisions, on the host, shape (components, values)
+    noise : standard deviation of the noise, in units of s
+    whitening, white_means, constants : arrays for a component's density (`Mixture.whitening`, `Mixture.constants`)
+    precision, slope : precisions, and precisions times means: a component's quadratic and linear form
+    diagonal : diagonals of the precisions, on the host, shape (components, values)
     """
 
     noise: float
@@ -55,7 +55,7 @@ class _Components:
 
     @classmethod
     def of(cls, mixture: Mixture, noise: float, device: Device) -> _Components:
-        """Those of a mixture."""
+        """The components of a mixture."""
         whitening, means = mixture.whitening(noise)
         values = whitening.shape[1]
         rows = np.zeros((len(mixture), values, -(-values // _LANES) * _LANES))
@@ -71,17 +71,17 @@ class _Components:
 
 
 class PatchOperator:
-    """What does not change from step to step.
+    """The patch prior on a device: where its patches and tiles lie, and the kernels that choose components.
 
     Parameters
     ----------
-    patches : of the voxels
-    mixture : of patches of this size
-    device : where to compute
+    patches : patches around the voxels of the mask
+    mixture : mixture for patches of this size
+    device : device that computes
 
     Attributes
     ----------
-    voxel_shares : which rank makes the products of which voxels: those of its tiles of the stencil
+    voxel_shares : which rank computes the products for which voxels: those of its tiles of the stencil
     """
 
     @device_errors("the prior")
@@ -97,20 +97,20 @@ class PatchOperator:
         constant = device.constant
         self._shares = device.ranks.dealt(np.arange(len(patches)) // _PATCHES_OF_BLOCK)
         self._patch = np.asarray(np.ravel_multi_index(tuple(patches.centres.T), mask.shape))
-        self._own_patch = self._shares.taken(self._patch)
+        self._patch_of_rank = self._shares.taken(self._patch)
         self._centre = constant(_ushort4(self._shares.taken(patches.centres)))
         self.place = constant(np.ravel_multi_index(tuple((at + margins).T), self.halo).astype(np.uint32))
         self.voxel_shares = voxel_shares(mask, device.ranks)
-        own = np.zeros(self.voxels, bool)
-        own[self.voxel_shares.own] = True
-        # The fourth number: whether it is another rank's.
-        self.voxel = constant(np.column_stack([at, ~own]).astype(np.uint16))
-        # This rank's tiles that hold a voxel of the mask, and its numbers; voxels of a tile have one owner.
+        is_mine = np.zeros(self.voxels, bool)
+        is_mine[self.voxel_shares.own] = True
+        # The fourth number says whether the voxel is another rank's.
+        self.voxel = constant(np.column_stack([at, ~is_mine]).astype(np.uint16))
+        # This rank's tiles that hold a voxel of the mask, and the numbers of their voxels; a tile has one owner.
         numbers = np.full((*mask.shape[:2], tiles_along * _LANES), -1, np.int32)
         numbers[:, :, : mask.shape[2]][mask] = np.arange(self.voxels)
         self._numbers = numbers.reshape(-1, _LANES)
         last = self._numbers.max(axis=1)
-        chosen = np.flatnonzero((last >= 0) & own[last])
+        chosen = np.flatnonzero((last >= 0) & is_mine[last])
         self._numbers = self._numbers[chosen]
         x, y, z = np.unravel_index(chosen, (*mask.shape[:2], tiles_along))
         self._corners = _ushort4(np.column_stack([x, y, z * _LANES]))
@@ -128,33 +128,33 @@ class PatchOperator:
         )
 
     def components(self, noise: float) -> _Components:
-        """Those for a noise; the last ones are kept, for many steps have the same."""
+        """The components for a noise; the last ones are kept, since many steps have the same noise."""
         found = self._components
         if found is None or found.noise != noise:
             found = self._components = _Components.of(self.mixture, noise, self.device)
         return found
 
     def launch(self, name: str, work_items: int, **arguments: Any) -> None:
-        """Runs one of the kernels."""
+        """Runs one of the kernels of patches.cl."""
         if work_items:
             self.device.launch(self.device.kernel("patches", name, self._features), work_items, **arguments)
 
     def spread(self, x: DeviceArray, scale: float = 1.0) -> None:
-        """Puts scale times the voxels' values where kernels read them."""
+        """Writes scale times the voxels' values into the array that kernels read, `values`."""
         self.vectors.launch("spread_values", factor=scale, place=self.place, x=x, values=self.values)
 
     def chosen_components(self, u: DeviceArray, noise: float) -> tuple[DeviceArray, float]:
-        """The likeliest component of each patch, on the grid, and what all patches together cost.
+        """The likeliest component of each patch, on the grid, and the cost of all patches together.
 
-        u : extinction in units of s; it is spread
-        noise : standard deviation that patches are known to, in units of s
+        u : extinction in units of s; it is written into `values`
+        noise : standard deviation of the patches' noise, in units of s
         """
         shares = self._shares
         component, cost = self.device.ranks.together(lambda: self._chosen_of_rank(u, noise))
         if shares.owner is not None:
             found = component.get()
             flat = found.reshape(-1)
-            flat[self._patch] = shares.gathered(flat[self._own_patch])
+            flat[self._patch] = shares.gathered(flat[self._patch_of_rank])
             component.set(found)
         self._guess = component
         return component, float(np.sum(shares.gathered(cost.get()[: len(shares)]), dtype=np.float64))
@@ -163,7 +163,7 @@ class PatchOperator:
         """Components and costs of this rank's patches."""
         self.spread(u)
         device, mixture, count = self.device, self.components(noise), len(self._shares)
-        # The last ones are a good guess, and no more.
+        # The last components are a good guess, which does not change the result.
         component = self._guess.copy()
         cost = device.empty(max(count, 1), np.float32)
         self.launch(
@@ -174,7 +174,7 @@ class PatchOperator:
         return component, cost
 
     def tiles_near_cloud(self, component: DeviceArray) -> tuple[np.ndarray, np.ndarray]:
-        """Those of this rank with a voxel in a patch that has cloud: their first voxels, and their voxels' numbers."""
+        """This rank's tiles with a voxel in a patch with cloud: their first voxels, and the numbers of their voxels."""
         tiles = len(self._corners)
         reached = self.device.empty(max(tiles, 1), np.uint8)
         self.launch(
@@ -186,19 +186,19 @@ class PatchOperator:
 
 
 class PatchQuadratic:
-    """The sum of all patches' quadratic forms, with the components that are likeliest at u, less a clear sky's.
+    """The sum of all patches' quadratic forms, with the components that are likeliest at u, minus a clear sky's value.
 
     Parameters
     ----------
-    operator : of the voxels
-    u : shape (voxels,)
-    noise : standard deviation that patches are known to
-    weight_of_clear : of patches without cloud, where others have 1
+    operator : patch prior on the device
+    u : extinction in units of s, shape (voxels,)
+    noise : standard deviation of the patches' noise, in units of s
+    weight_of_clear : weight of patches without cloud; others have the weight 1
 
     Attributes
     ----------
-    value : at u
-    shares : which rank makes which numbers of products
+    value : value of the function at u
+    shares : which rank computes which elements of products
     """
 
     @device_errors("the prior")
@@ -216,7 +216,7 @@ class PatchQuadratic:
         self.value += 0.5 * (1 - 1 / weight_of_clear) * float(self.clear @ np.square(u))
 
     def _assemble(self, components: _Components) -> None:
-        """Makes the stencil of this rank's tiles."""
+        """Computes the stencil of this rank's tiles."""
         operator, device = self._operator, self._operator.device
         self._stencil = device.empty(max(self._tiles, 1) * operator.offsets * _LANES, np.float32)
         columns = operator.offsets // (2 * operator.mixture.size[2] - 1)
@@ -229,7 +229,7 @@ class PatchQuadratic:
     def _sum_patches(self, components: _Components, weight_of_clear: float) -> None:
         operator, device = self._operator, self._operator.device
         diagonals = components.diagonal.copy()
-        diagonals[0] *= weight_of_clear  # the first component's
+        diagonals[0] *= weight_of_clear  # the first component stands for patches without cloud
         self._of_means, self._clear, self._diagonal = (device.empty(operator.voxels, np.float32) for _ in range(3))
         operator.launch(
             "sum_patches", operator.voxels, voxel_count=operator.voxels, voxel=operator.voxel, shape=operator.shape,
@@ -237,35 +237,35 @@ class PatchQuadratic:
             diagonal_of=device.constant(diagonals.astype(np.float32)), of_means=self._of_means,
             clear=self._clear, diagonal=self._diagonal,
         )  # fmt: skip
-        # The means' part is needed in products alone, of which each rank makes its own numbers.
+        # The means' part is used in products alone, of which each rank computes the elements of its voxels.
         gathering = Gathering(device, self.shares)
         gathering.complete(self._clear)
         gathering.complete(self._diagonal)
 
     @cached_property
     def components(self) -> np.ndarray:
-        """Of each patch."""
+        """The number of each patch's component, shape (patches,)."""
         return self._component.get()[tuple(self._operator.patches.centres.T)]
 
     @cached_property
     def diagonal(self) -> np.ndarray:
-        """Of the second derivative, shape (voxels,)."""
+        """The diagonal of the Hessian, shape (voxels,)."""
         return self._diagonal.get().astype(float)
 
     @cached_property
     def clear(self) -> np.ndarray:
-        """That of the patches without cloud, whose second derivative it is, shape (voxels,)."""
+        """The part of patches without cloud in that diagonal, shape (voxels,): it is their whole Hessian."""
         return self._clear.get().astype(float)
 
     @device_errors("the prior")
     def add_product(
         self, x: DeviceArray, result: DeviceArray, factor: float, scale: float = 1.0, means: float = 0.0
     ) -> None:
-        """Adds factor times the second derivative's product with scale x to a result, shape (voxels,).
+        """Adds factor times the Hessian's product with scale x to a result, shape (voxels,).
 
-        Of several ranks each adds to the numbers of its voxels (`shares`); what becomes of others' is any.
+        Each of several ranks computes the elements of its voxels (`shares`); the others are undefined.
 
-        means : 1: the gradient at scale x
+        means : 0 for this product; 1 for the gradient at scale x
         """
         operator = self._operator
         operator.spread(x, scale)
@@ -280,19 +280,19 @@ class PatchQuadratic:
         )  # fmt: skip
 
     def _gradient_at_u(self) -> np.ndarray:
-        # No cached_property: until Python 3.12 that is one lock for all objects, and ranks that are threads wait for
+        # No cached_property: before Python 3.12 it holds one lock for all objects, and ranks that are threads wait for
         # each other in here.
         if self._gradient is None:
             self._gradient = self._product(self._at, means=1.0)
         return self._gradient
 
     def times(self, change: np.ndarray) -> np.ndarray:
-        """The second derivative's product with a vector, shape (voxels,), float64."""
-        # Of no change there is none, and it is often asked for where components were chosen.
+        """The Hessian's product with a vector, shape (voxels,), float64."""
+        # Often the change is 0: where the function is asked for at the u of its components.
         return self._product(change, means=0.0) if np.any(change) else np.zeros(len(change))
 
     def value_and_gradient(self, u: np.ndarray) -> tuple[float, np.ndarray]:
-        """At another u."""
+        """Value and gradient at another u, shape (voxels,)."""
         change = u - self._at
         product = self.times(change)
         gradient = self._gradient_at_u()
@@ -307,7 +307,7 @@ class PatchQuadratic:
 
 
 def _ushort4(places: np.ndarray) -> np.ndarray:
-    """Places of three numbers as kernels take them."""
+    """Places (x, y, z) as kernels take them: with a fourth number, 0."""
     found = np.zeros((len(places), 4), np.uint16)
     found[:, :3] = places
     return found

@@ -1,4 +1,4 @@
-"""The prior on what clouds look like in the small: every patch comes from a mixture of Gaussians."""
+"""The prior on what clouds look like on a small scale: every patch comes from a mixture of Gaussians."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from cloudtomo_cl.inversion.vectors import Vectors
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.parallel.ranks import Shares
 
-# Noise of a stage's first step, and how it falls from step to step.
+# Noise of a stage's first step, in units of s, and factor by which it falls from step to step.
 _FIRST_NOISE, _NOISE_SHARE = 0.2, 0.7
-# Share of the prior's pull on a cloud's mass that a step takes back where nobody finds it (`mass`), and the extinction,
-# in units of s, at which a voxel takes half of its part in that (docs/decisions/patch-prior.md).
+# Default share of the prior's pull on a cloud's mass that a step takes back (mass.py), and extinction, in units of s,
+# at which a voxel has half of its full part in that (docs/decisions/patch-prior.md).
 _MASS_SHARE, _HALF_PRESENT = 0.3, 0.1
-# Of a cloud of so many voxels a step's patches with cloud count half: those that were learnt from are of more.
+# Number of voxels of a cloud at which its patches count half: the mixture was learnt from clouds of more voxels.
 _FEW_VOXELS = 200.0
-# Patches that are drawn at a time: 20 MB of them.
+# Number of patches that are drawn at a time: 20 MB.
 _AT_ONCE = 1 << 15
 
 
 class StagePatches:
-    """Minus the log likelihood of the patches of u = b / s, averaged over the patches that hold a voxel, s given.
+    """Minus the log likelihood of the patches of u = b / s, averaged over the patches that hold a voxel.
 
     R(u) = strength / values sum_i min_k [ 1/2 (P_i u - m_k)^T S_k (P_i u - m_k) - 1/2 log det S_k - log w_k ]
-    with S_k = (C_k + noise^2)^-1, less what a patch without cloud has, so that a clear sky costs nothing. Source: the
-    expected patch log likelihood (Zoran and Weiss 2011), each patch with its likeliest component, and their
-    half-quadratic splitting's auxiliary patches eliminated: min_z (x - z)^2 / (2 noise^2) + 1/2 (z - m)^T C^-1 (z - m)
-    is the form above.
+    with S_k = (C_k + noise^2)^-1, minus the value for a patch without cloud, so that a clear sky costs nothing. P_i u
+    is patch i; m_k, C_k, w_k are mean, covariance and weight of component k. Source: the expected patch log likelihood
+    (Zoran and Weiss 2011), each patch with its likeliest component. The auxiliary patches z of their half-quadratic
+    splitting are eliminated: min_z (x - z)^2 / (2 noise^2) + 1/2 (z - m)^T C^-1 (z - m) is the form above.
 
     Parameters
     ----------
-    operator : of the voxels and a mixture
-    strength : weight
-    noise : standard deviation that patches are known to, in units of s
+    operator : patch prior on the device
+    strength : weight of the prior
+    noise : standard deviation of the patches' noise, in units of s
     """
 
     chooses: ClassVar[bool] = True
@@ -54,14 +54,13 @@ class StagePatches:
     def frozen(
         self, extinction: np.ndarray, iteration: int | None = None, mass_share: float | None = None
     ) -> FrozenPatches:
-        """With the components that are the likeliest at this extinction, and the noise of this iteration.
+        """The prior with the components that are likeliest at this extinction, and with the noise of this iteration.
 
-        Patches of a cloud of few voxels, as on the grids of the first stages, are rougher than those of most clouds
-        that were learnt from: they count less. Patches without cloud are alike everywhere.
+        Patches of a cloud of few voxels, as on the grids of the first stages, are rougher than most patches that were
+        learnt from, so they count less. Patches without cloud do not differ, and count in full.
 
-        The most likely cloud is thinner than likely ones: as many Gaussians as there are patches all pull towards
-        their means. A step takes a share of that pull on the cloud's mass back, by a constant slope where there is
-        cloud.
+        The most likely cloud is thinner than typical likely ones, because every patch's Gaussian pulls towards its
+        mean. A step takes a share of that pull on the cloud's mass back, by a constant slope where there is cloud.
         """
         noise = self._noise if iteration is None else max(_FIRST_NOISE * _NOISE_SHARE**iteration, self._noise)
         count = voxels_of_cloud(extinction)
@@ -71,22 +70,22 @@ class StagePatches:
 
 
 def voxels_of_cloud(extinction: np.ndarray) -> float:
-    """(sum b)^2 / sum b^2: how many voxels a cloud has, if they all were alike; 0 of none."""
+    """(sum b)^2 / sum b^2: the number of a cloud's voxels, were they all alike; 0 without cloud."""
     squares = float(np.sum(np.square(extinction)))
     return float(np.sum(extinction)) ** 2 / squares if squares > 0 else 0.0
 
 
 class FrozenPatches:
-    """`StagePatches` with the components that patches have at one extinction: a quadratic function.
+    """`StagePatches` with the components that are likeliest at one extinction: a quadratic function.
 
     Parameters
     ----------
-    operator : as of `StagePatches`
-    weight : strength over a patch's values
-    noise : standard deviation in units of s
-    extinction : where components are chosen, in units of s, shape (voxels,)
-    share : by which patches with cloud count
-    mass_share : a slope where there is cloud takes so much of the slope along the extinction itself away
+    operator : patch prior on the device
+    weight : strength divided by the number of a patch's values
+    noise : standard deviation of the patches' noise, in units of s
+    extinction : extinction at which components are chosen, in units of s, shape (voxels,)
+    share : factor of patches with cloud
+    mass_share : share of the function's slope along `extinction` that an added constant slope takes away
     """
 
     def __init__(
@@ -125,8 +124,8 @@ class FrozenPatches:
             root = np.linalg.cholesky(precisions[component])
             of_component = np.flatnonzero(components == component)
             for first in range(0, len(of_component), _AT_ONCE):
-                own = of_component[first : first + _AT_ONCE]
-                patches.add(sums, own, random.standard_normal((len(own), patches.values)) @ root.T)
+                chosen = of_component[first : first + _AT_ONCE]
+                patches.add(sums, chosen, random.standard_normal((len(chosen), patches.values)) @ root.T)
         of_clear = np.sqrt(clear) * random.standard_normal(len(clear))
         return np.sqrt(units.weighted * self._weight * units.both) * (of_clear + patches.on_voxels(sums))
 
@@ -138,15 +137,15 @@ class FrozenPatches:
 
 @dataclass(frozen=True, eq=False)
 class PatchTerm:
-    """A step's patches as a function on the device; see `Term`.
+    """`FrozenPatches` as a term on the device; see `Term`.
 
     Attributes
     ----------
-    patches : the quadratic function
-    vectors : of the voxels
-    slope : and a linear one, shape (voxels,)
-    factor : of both
-    scale : from the unknowns to what patches have
+    patches : quadratic function of the patches
+    vectors : vectors with an element for each voxel
+    slope : gradient of an added linear function, shape (voxels,)
+    factor : factor of both functions
+    scale : factor from the unknowns to the patches' values
     """
 
     patches: PatchQuadratic

@@ -10,19 +10,19 @@ from cloudtomo_cl.inversion.voxels import Voxels
 
 
 class Patches:
-    """Patches around the voxels of a grid that hold a voxel of a mask.
+    """The patches around a grid's voxels that hold at least one voxel of a mask.
 
-    Beyond the edges of the grid stand the nearest voxels, as for the smoothness prior.
+    Beyond the edges of the grid the nearest voxel is repeated, as for the smoothness prior.
 
     Parameters
     ----------
-    voxels : whose values patches have
-    size : of a patch along x, y, z, odd
+    voxels : grid and mask of the voxels
+    size : size of a patch, voxels along x, y, z, odd numbers
 
     Attributes
     ----------
-    centres : their voxels, shape (patches, 3)
-    values : of a patch
+    centres : voxels in the patches' centres, shape (patches, 3)
+    values : number of values of a patch
     """
 
     def __init__(self, voxels: Voxels, size: tuple[int, int, int]) -> None:
@@ -32,27 +32,27 @@ class Patches:
         held = np.lib.stride_tricks.sliding_window_view(mask, size).any(axis=(3, 4, 5))
         self.centres = np.argwhere(held)
         numbers = np.arange(mask.size).reshape(mask.shape)
-        # Of each patch its first voxel, and of a patch's voxels how far they are from the first, in the padded grid.
+        # Indices in the padded grid: each patch's first voxel, and a patch's voxels minus its first.
         self._first = numbers[tuple(slice(n) for n in held.shape)][held]
         self._offsets = numbers[tuple(slice(n) for n in size)].ravel()
-        own = np.arange(voxels.mask.size).reshape(voxels.mask.shape)
-        self._unpadded = np.pad(own, margins, mode="edge").ravel()
+        unpadded = np.arange(voxels.mask.size).reshape(voxels.mask.shape)
+        self._unpadded = np.pad(unpadded, margins, mode="edge").ravel()
         self.values = math.prod(size)
 
     def __len__(self) -> int:
         return len(self._first)
 
     def add(self, sums: np.ndarray, chosen: np.ndarray, values: np.ndarray) -> None:
-        """Adds patches' values, shape (patches, values), to sums on the padded grid, in place."""
+        """Adds values of chosen patches, shape (patches, values), to sums on the padded grid, in place."""
         for index, offset in enumerate(self._offsets):
-            # A patch has another first voxel than any other: no sum is added to twice.
+            # All patches have different first voxels, so no index occurs twice.
             sums[self._first[chosen] + offset] += values[:, index]
 
     def on_voxels(self, sums: np.ndarray) -> np.ndarray:
-        """Sums on the padded grid as those of the voxels, shape (voxels,), float64."""
+        """Sums on the padded grid, added up for each voxel of the mask, shape (voxels,), float64."""
         folded = np.bincount(self._unpadded, sums, self.voxels.mask.size)
         return folded.reshape(self.voxels.mask.shape)[self.voxels.mask]
 
     def zeros(self) -> np.ndarray:
-        """Sums on the padded grid, float64."""
+        """An array for sums on the padded grid, float64, of zeros."""
         return np.zeros(len(self._unpadded))

@@ -20,15 +20,17 @@ from cloudtomo_cl.scene.visibility import pixels_that_see
 
 @dataclass(frozen=True)
 class ActivePixels:
-    """Valid pixels that look at voxels of a mask.
+    """The valid pixels that look at voxels of a mask, and what was measured there.
 
     Attributes
     ----------
-    views : of the measurements
-    listed : (view, row * width + column), uint32, shape (pixels, 2)
-    radiance, standard_error : as measured, W m^-2 sr^-1, shape (pixels,); errors are 0 where unknown
-    calibration_errors : of the views' gains
-    motions : what motions of its view change a pixel by, shape (pixels, 3), if any is possible (`scene.pointing`)
+    views : views of the measurements
+    listed : pixels as (view, row * width + column), uint32, shape (pixels, 2)
+    radiance, standard_error : measured radiances and their standard errors, W m^-2 sr^-1, shape (pixels,); errors are 0
+        where unknown
+    calibration_errors : standard errors of the views' gains
+    motions : change of each pixel per unit of its view's motions (`scene.pointing`), shape (pixels, 3); None: no motion
+        is possible
     motion_errors : standard errors of the views' motions, shape (views, 3)
     """
 
@@ -45,9 +47,9 @@ class ActivePixels:
 
     @cached_property
     def level(self) -> np.ndarray:
-        """Mean of a pixel's radiance and its neighbours', W m^-2 sr^-1, shape (pixels,): for weights.
+        """Mean radiance of a pixel and its neighbours, W m^-2 sr^-1, shape (pixels,): for weights.
 
-        Weights of a pixel's own radiance would be largest where noise has made it dark.
+        Weights from the radiance of the pixel alone would be largest where noise has made it dark.
         """
         return neighbours(self.views, self.listed) @ self.radiance
 
@@ -55,7 +57,8 @@ class ActivePixels:
     def error(self) -> np.ndarray:
         """Root mean square of the standard errors of a pixel and its neighbours, where they are known, shape (pixels,).
 
-        Errors that came with the radiance, from the same few paths or electrons, are smallest where it is too dark.
+        The error of the pixel alone, from the same few paths or electrons as its radiance, is smallest where that is
+        too dark.
         """
         around, known = neighbours(self.views, self.listed), self.standard_error > 0
         mean, share = around @ self.standard_error**2, around @ known.astype(np.float64)
@@ -63,37 +66,37 @@ class ActivePixels:
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """Of the data term, shape (pixels,)."""
+        """Weights of the squared residuals in the data term, shape (pixels,)."""
         return pixel_weights(self.level, self.error)
 
     @cached_property
     def variance(self) -> np.ndarray:
-        """Of the measured radiances' noise, also where it is unknown, shape (pixels,)."""
+        """Variance of the measured radiances' noise, estimated where it is unknown, shape (pixels,)."""
         return variance_of(self.level, self.standard_error)
 
     @property
     def unit(self) -> float:
-        """The data term's: the mean of weight times variance, n of the prior."""
+        """The data term's unit, n of the prior: the mean over pixels of weight times noise variance."""
         return 2 * noise_of(self.variance, self.weights) / len(self)
 
     @cached_property
     def expected_cost(self) -> float | None:
-        """What the measured images' noise alone makes the true cloud's data term, on average; None if it is unknown."""
+        """Mean data term of the true cloud, by the measured images' noise alone; None if that is unknown."""
         return noise_of(self.variance, self.weights) if self.standard_error.any() else None
 
     @cached_property
     def calibration(self) -> Calibration:
-        """What the views' calibration leaves open."""
+        """The unknown gains and motions of the views."""
         view = self.listed[:, 0]
         return Calibration(self.weights, view, self.calibration_errors, self.unit, self.motions, self.motion_errors)
 
 
 def active_pixels(measurements: Measurements, grid: Grid, mask: np.ndarray) -> ActivePixels:
-    """Pixels that look at voxels of the mask and are valid; the others teach little and cost as much.
+    """The valid pixels that look at voxels of the mask; the others tell little and cost as much time.
 
     Raises
     ------
-    DataError : there are none, or there is no light in them
+    DataError : there are no such pixels, or no light in them
     """
     pixels, radiance, errors, motions = [], [], [], []
     motion_errors = measurements.motion_errors(grid)

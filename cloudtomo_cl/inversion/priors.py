@@ -1,4 +1,4 @@
-"""What is known of clouds before any image: their patches; or smoothness, growth with height, and much clear air."""
+"""Priors, what is known of clouds before any image: their patches; or smoothness, growth with height, clear air."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import NotNegative, Positive
 
-# The least mean extinction that a cloud is measured by: so deep along a mean chord of a voxel. No image shows it.
+# Optical depth along a voxel's mean chord for the smallest mean extinction that scales a prior. No image shows less.
 _LEAST_DEPTH = 1e-3
 # Diagonal of A^T A away from the edges: 1 + 26 / 26^2.
 SMOOTHNESS_CURVATURE = 27 / 26
 
 
 def roughness(extinction: np.ndarray) -> np.ndarray:
-    """A b: the mean of a voxel's 26 neighbours minus itself; beyond the edges stand the nearest voxels."""
+    """A b: the mean of a voxel's 26 neighbours minus the voxel; beyond the edges the nearest voxel is repeated."""
     from scipy.ndimage import uniform_filter
 
     return (27 * uniform_filter(extinction, 3, mode="nearest") - extinction) / 26 - extinction
@@ -44,17 +44,17 @@ def roughness(extinction: np.ndarray) -> np.ndarray:
 class PatchPrior:
     """Every patch of a cloud, 5 x 5 x 3 voxels, comes from a mixture of Gaussians that was learnt from clouds.
 
-    The mixture is one of patches divided by the cloud's own mean extinction, s = sum b^2 / sum b of the current
-    estimate, so that no cloud's brightness is built in; there is one for each of several shapes of voxels. Source:
-    Zoran and Weiss 2011 (docs/explanation/patches.md).
+    Patches are divided by the mean extinction of the current estimate, s = sum b^2 / sum b, so that the prior does not
+    depend on a cloud's brightness. There is a mixture for each of several shapes of voxels. Source: Zoran and Weiss
+    2011 (docs/explanation/patches.md).
 
     Attributes
     ----------
-    strength : weight of minus the log likelihood of patches, averaged over the patches that hold a voxel; of
-        patches with cloud it is half of that in the steps for a cloud of 200 voxels, and less for one of fewer
-    noise : standard deviation to which patches are known, in units of s; a stage begins with 0.2
-    file : mixtures that `cloudtomo prior learn` made of clouds; by default those that come with the package, learnt
-        from generated ones
+    strength : weight of the patches' minus log likelihood, averaged over the patches that hold a voxel; for patches
+        with cloud a step takes half of it if the cloud has 200 voxels, and less if it has fewer
+    noise : standard deviation of the patches' noise, in units of s; a stage begins with 0.2
+    file : file of mixtures that `cloudtomo prior learn` made; by default those that come with the package, learnt from
+        generated clouds
     """
 
     type: Literal["patches"] = "patches"
@@ -68,29 +68,29 @@ class PatchPrior:
 class Prior:
     """R = N (smoothness / 2 ||A b||^2 + monotonicity R_mon) + n sparsity R_sparsity, b the extinction in km^-1.
 
-    n is the data term's unit, the mean over pixels of the weighted variances of the measured images' noise; N has
-    the modelled images' noise in it, too, and falls during a run. So the weights say what clouds are like, and follow
-    neither from the images nor from their number: the prior is Gaussian with an rms (A b) of smoothness^-1/2.
+    n is the data term's unit: the mean over pixels of weight times variance of the measured images' noise. N includes
+    the modelled images' noise, and falls during a run. So the prior's weights describe clouds, and need not change with
+    the images or their number: smoothness makes a Gaussian prior with an rms (A b) of smoothness^-1/2.
 
-    A is the mean of a voxel's 26 neighbours minus itself; R_mon = -sum tanh(c1 Dz b) tanh(c2 b)
+    A b is the mean of a voxel's 26 neighbours minus the voxel; R_mon = -sum tanh(c1 Dz b) tanh(c2 b)
     over voxels with b > threshold, Dz the central difference along z from voxel to voxel.
     Source: the supplement's Eqs. 20-23, with the gradient corrected (docs/explanation/derivatives.md), and
     the constants of the paper's released code.
 
-    R_sparsity = sum b / (b + b0). It is ours: every voxel that holds cloud costs as much as its one
-    parameter would fit of the noise (Akaike 1974's criterion, made smooth as by Geman and McClure 1985),
-    so that what the images leave open stays clear.
+    R_sparsity = sum b / (b + b0) is of this package, not of the paper: every voxel with cloud costs as
+    much as one parameter reduces the data term by fitting noise (Akaike 1974's criterion, made smooth as
+    by Geman and McClure 1985), so that what the images leave open stays clear.
 
     Attributes
     ----------
-    smoothness : mu1, km^2; by default an rms (A b) of 7 km^-1
-    monotonicity : mu2
-    c1, c2 : km
-    threshold : km^-1
-    sparsity : 1 for the criterion above, 0 for none
-    sparsity_scale : b0, km^-1, the extinction at which half of the cost is due
-    reference : km^-1, the mean extinction s = sum b^2 / sum b of the cloud that the other numbers are said for: those
-        of another cloud follow its own mean extinction (scene C has 46). 0: they hold as they stand, for every cloud
+    smoothness : weight mu1, km^2; by default an rms (A b) of 7 km^-1
+    monotonicity : weight mu2 of R_mon, without unit
+    c1, c2 : scales in R_mon, km
+    threshold : extinction above which a voxel counts in R_mon, km^-1
+    sparsity : weight of R_sparsity: 1 for the criterion above, 0 for none
+    sparsity_scale : b0, the extinction at which half of a voxel's cost is due, km^-1
+    reference : mean extinction s = sum b^2 / sum b, km^-1, of the cloud for which the other numbers hold (scene C has
+        46): for another cloud they are scaled by its mean extinction. 0: they hold for every cloud as they are
     """
 
     type: Literal["smoothness"] = "smoothness"
@@ -113,24 +113,24 @@ AnyPrior = PatchPrior | Prior
 
 @runtime_checkable
 class Regulariser(Protocol):
-    """A prior of the user's own: minus the logarithm of a probability density of extinctions, up to a constant.
+    """A prior that a user writes: minus the logarithm of a probability density of extinctions, up to a constant.
 
-    It is multiplied with the data term's unit, so that it need not know of images and their noise. An optional method
-    `curvature(extinction, voxels)`, the diagonal of its second derivative, km^2, shape (voxels,), scales Gauss-Newton's
+    It is multiplied by the data term's unit, so that it does not depend on the images and their noise. An optional
+    method `curvature(extinction, voxels)`, the diagonal of its Hessian, km^2, shape (voxels,), scales Gauss-Newton's
     inner minimisation.
     """
 
     def value_and_gradient(self, extinction: np.ndarray, voxels: Voxels) -> tuple[float, np.ndarray]:
-        """Value, and gradient in km, of an extinction in km^-1; both arrays have shape (voxels,)."""
+        """Value, and gradient in km, for an extinction in km^-1; both arrays have shape (voxels,)."""
         ...
 
 
 def unlike_prior(prior: AnyPrior | Regulariser, grid: Grid) -> str:
-    """What sets a grid's voxels apart from those that a prior was learnt from, in words; empty if nothing does.
+    """A text that says how a grid's voxels differ from those that a prior was learnt from; empty if they do not.
 
     Raises
     ------
-    DataError : the prior's file is none
+    DataError : the prior's file holds no mixtures
     """
     return read_mixtures(prior.file or SHIPPED).unlike(grid.spacing) if isinstance(prior, PatchPrior) else ""
 
@@ -140,7 +140,7 @@ def stage_prior(prior: AnyPrior | Regulariser, voxels: Voxels, device: Device) -
 
     Raises
     ------
-    DataError : it is neither a `PatchPrior`, nor a `Prior`, nor has `value_and_gradient`; it has no such file
+    DataError : it is neither a `PatchPrior` nor a `Prior`, nor has `value_and_gradient`; or its file is not there
     """
     least = _LEAST_DEPTH / voxels.grid.mean_chord
     if isinstance(prior, PatchPrior):
@@ -155,11 +155,11 @@ def stage_prior(prior: AnyPrior | Regulariser, voxels: Voxels, device: Device) -
             f"prior is a {type(prior).__name__}: give a PatchPrior, a Prior, or an object with "
             "value_and_gradient(extinction, voxels) -> (value, gradient)"
         )
-    return _OwnPrior(prior, voxels)
+    return _UserPrior(prior, voxels)
 
 
-class _OwnPrior:
-    """A regulariser of the user's, checked."""
+class _UserPrior:
+    """A user's regulariser, whose results are checked."""
 
     def __init__(self, regulariser: Regulariser, voxels: Voxels) -> None:
         self._regulariser = regulariser
@@ -176,10 +176,10 @@ class _OwnPrior:
         return units.weighted * float(value), units.weighted * gradient
 
     def curvature(self, extinction: np.ndarray, units: NoiseUnits) -> np.ndarray | float:
-        of_own = getattr(self._regulariser, "curvature", None)
-        if of_own is None:
+        diagonal = getattr(self._regulariser, "curvature", None)
+        if diagonal is None:
             return 0.0
-        curvature = np.asarray(of_own(extinction.copy(), self._voxels), float)
+        curvature = np.asarray(diagonal(extinction.copy(), self._voxels), float)
         return units.weighted * np.maximum(np.broadcast_to(curvature, len(self._voxels)), 0.0)
 
     def frozen(
@@ -217,7 +217,7 @@ class StageSmoothness:
         return self
 
     def hessian_times(self, columns: np.ndarray, units: NoiseUnits) -> np.ndarray:
-        """Of smoothness alone: A is symmetric."""
+        """The Hessian of the smoothness alone, A^T A = A A, times columns."""
         products = [roughness(roughness(self._on_grid(column)))[self._voxels.mask] for column in columns.T]
         return units.weighted * self._prior.smoothness * np.column_stack(products)
 
@@ -236,14 +236,14 @@ class StageSmoothness:
 
 
 class PriorTerm:
-    """A `Prior` as a function on the device; see `Term`.
+    """A `Prior` as a term on the device; see `Term`.
 
     Parameters
     ----------
-    operator : of the prior
-    mask : where unknowns are
-    units : what the prior is multiplied with
-    scale : from the unknowns to extinctions as the prior's numbers are said for
+    operator : value and gradient of the prior on the device
+    mask : voxels that are unknowns, bool, shape of the grid
+    units : factors of the prior
+    scale : factor from the unknowns to extinctions for which the prior's numbers hold
     """
 
     quadratic: ClassVar[bool] = False
@@ -288,8 +288,8 @@ class PriorOperator:
     ) -> tuple[float, DeviceArray]:
         """The prior's value, and its gradient (km) on the device, for an extinction on the device.
 
-        weight : N, factor of smoothness and monotonicity
-        noise : n, factor of the sparsity
+        weight : factor N of smoothness and monotonicity
+        noise : factor n of the sparsity
         """
         prior = self.prior
         gradient = self.gradient(extinction, weight, noise)
@@ -303,7 +303,7 @@ class PriorOperator:
 
     @device_errors("the prior")
     def gradient(self, extinction: DeviceArray, weight: float = 1.0, noise: float = 0.0) -> DeviceArray:
-        """As `value_and_gradient`, without the value; it stays on the device."""
+        """As `value_and_gradient`, but the gradient alone, which stays on the device."""
         prior, shape = self.prior, self.shape
         self._launch("laplacian", extinction, shape, self._work)
         self._launch("laplacian", self._work, shape, self._smooth)
@@ -328,6 +328,6 @@ class PriorOperator:
         return gradient
 
     def of_array(self, extinction: np.ndarray, weight: float, noise: float) -> tuple[float, np.ndarray]:
-        """As `value_and_gradient`, of an array on the host; the gradient is on the host, too."""
+        """As `value_and_gradient`, for an array on the host; the gradient is on the host, too."""
         value, gradient = self.value_and_gradient(self.device.array(extinction), weight, noise)
         return value, gradient.get()

@@ -1,4 +1,4 @@
-"""Images of a cloud as a problem for the extinction of the voxels that may hold cloud."""
+"""The inverse problem: from images to the extinction of the voxels that may hold cloud."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from cloudtomo_cl.transport.table_gradient import TableGradient
 if TYPE_CHECKING:
     from cloudtomo_cl.inversion.linear_model import LinearModel
 
-# Paths that derivatives are made of, for each voxel of the mask, and the least of all. More voxels for a pixel than so
-# many are no reason for more paths.
+# Paths for derivatives: their number per voxel of the mask, and the least number of all. Voxels beyond VOXELS_PER_PIXEL
+# for each pixel do not count.
 PATHS_PER_VOXEL = 90
 VOXELS_PER_PIXEL = 2
 _LEAST_PATHS = 50_000
@@ -39,19 +39,20 @@ _LEAST_PATHS = 50_000
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Least squares: extinctions x >= 0 that make 1/2 sum w (image(x) - measured)^2 and the prior least.
+    """Least squares: find the x >= 0 that minimises 1/2 sum w (image(x) - measured)^2 plus the prior.
 
-    Unknowns x are the extinctions of the mask's voxels, km^-1, in the order of `extinction[mask]`.
+    The unknowns x are the extinctions of the mask's voxels, km^-1, in the order of `extinction[mask]`.
 
     Attributes
     ----------
-    voxels : the unknowns' grid and mask
-    active : valid pixels that look at them, and what was measured there
-    operator : renders and differentiates these pixels
-    prior : for these voxels
+    voxels : grid and mask of the unknowns
+    active : valid pixels that look at these voxels, and what was measured there
+    operator : operator that renders and differentiates these pixels
+    prior : prior for these voxels
     prior_weight : factor of the prior
-    samples : paths per pixel that derivatives are made of; by default the solver's choice
-    motions : of the views (`scene.pointing`), shape (views, 3), that solvers which find them start from; none: 0
+    samples : paths per pixel for derivatives; by default the solver's choice
+    motions : motions of the views (`scene.pointing`), shape (views, 3), with which solvers that find them start; None:
+        all 0
     """
 
     voxels: Voxels
@@ -79,14 +80,14 @@ class Problem:
 
         Parameters
         ----------
-        scene : what is known: grid, optics, sun, air, surface, boundary
+        scene : grid, optics, sun, air, surface, boundary
         measurements : images and views
-        mask : bool, or 0 and 1, on the scene's grid, where cloud may be; by default what carving leaves (`carve`)
-        prior : by default `PatchPrior()`; or an object of your own, see `Regulariser`
-        grid : numbers of voxels along x, y, z that the same domain is to have; by default the scene's
-        device : where to compute; by default `choose_device()`
+        mask : voxels that may hold cloud, bool, or 0 and 1, on the scene's grid; by default by carving (`carve`)
+        prior : a `PatchPrior` (the default), a `Prior`, or a user's object, see `Regulariser`
+        grid : numbers of voxels along x, y, z, on the same domain; by default the scene's
+        device : device that computes; by default `choose_device()`
         prior_weight : factor of the prior
-        samples : paths per pixel that derivatives are made of, even; by default the solver's choice
+        samples : paths per pixel for derivatives, even; by default the solver's choice
 
         Raises
         ------
@@ -126,22 +127,22 @@ class Problem:
 
     @property
     def radiance(self) -> np.ndarray:
-        """Measured, W m^-2 sr^-1, shape (pixels,)."""
+        """Measured radiances, W m^-2 sr^-1, shape (pixels,)."""
         return self.active.radiance
 
     @property
     def weights(self) -> np.ndarray:
-        """w of the squared residuals, shape (pixels,)."""
+        """Weights w of the squared residuals, shape (pixels,)."""
         return self.active.weights
 
     @property
     def default_samples(self) -> int:
-        """Paths per pixel that derivatives are made of, where nobody says."""
+        """Default number of paths per pixel for derivatives."""
         voxels = min(len(self.voxels), VOXELS_PER_PIXEL * len(self.active))
         return max(2, 2 * round(max(PATHS_PER_VOXEL * voxels, _LEAST_PATHS) / len(self.active) / 2))
 
     def with_motions(self, motions: np.ndarray) -> Problem:
-        """The same problem, of views after small motions (`scene.pointing`), shape (views, 3)."""
+        """The same problem with the views after small motions (`scene.pointing`), shape (views, 3)."""
         if not np.any(motions):
             return self
         views = [moved(view, motion, self.grid) for view, motion in zip(self.active.views, motions)]
@@ -156,13 +157,13 @@ class Problem:
 
         Parameters
         ----------
-        x : km^-1, shape (voxels,)
+        x : extinction of the mask's voxels, km^-1, shape (voxels,)
         samples : paths per pixel, even; by default `default_samples`
-        seed, stream : of the random numbers: the same ones give the same model
+        seed, stream : seed and stream of the random numbers; the same ones give the same model
 
         Raises
         ------
-        DataError : x has another shape, or is negative or not finite; there is not memory enough
+        DataError : x has another shape, or is negative or not finite; there is not enough memory
         TransportError, AuditError : the device computes wrongly
         """
         from cloudtomo_cl.inversion.linear_model import LinearModel
@@ -179,10 +180,10 @@ class Problem:
     def value_and_gradient(
         self, x: np.ndarray, *, samples: int | None = None, seed: int = 0, stream: int = 1
     ) -> tuple[float, np.ndarray]:
-        """The cost, data term and prior, and its gradient in km, shape (voxels,): for `scipy.optimize.minimize`.
+        """The cost (data term plus prior) and its gradient in km, shape (voxels,), as for `scipy.optimize.minimize`.
 
-        Both are without bias from the images' noise. With the same seed and stream they are functions of x alone.
-        Parameters and errors as of `linearise`.
+        Neither is biased by the images' noise. With the same seed and stream they are functions of x alone.
+        Parameters and errors are those of `linearise`.
         """
         x = self._checked(x)
         rendering = self.operator.render(self.on_grid(x), self._count(samples), seed, stream, store_paths=True)
@@ -194,16 +195,16 @@ class Problem:
         return value + of_prior, gradient.get()[self.mask].astype(float) + prior_gradient
 
     def units(self, modelled_noise: float = 0.0) -> NoiseUnits:
-        """What the prior is multiplied with.
+        """The factors of the prior.
 
-        modelled_noise : what noise of the modelled images adds to the data term
+        modelled_noise : part of the data term that the modelled images' noise adds
         """
         measured = self.active.unit
         both = measured + 2 * modelled_noise / len(self.active)
         return NoiseUnits(self.prior_weight * measured, both, self.prior_weight)
 
     def _count(self, samples: int | None) -> int:
-        """Paths per pixel: those asked for, or the problem's, or those by default; `render` refuses 0."""
+        """Paths per pixel: the argument, or the problem's number, or the default; `render` refuses 0."""
         return next(count for count in (samples, self.samples, self.default_samples) if count is not None)
 
     def _checked(self, x: np.ndarray) -> np.ndarray:

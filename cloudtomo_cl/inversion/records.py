@@ -1,4 +1,4 @@
-"""What a recovery tells of its iterations, and what it ends with."""
+"""The records of a recovery's iterations, and its result."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ from cloudtomo_cl.scene.sensors import View
 @renamed_attributes(photons="paths")
 @dataclass(frozen=True)
 class IterationRecord:
-    """What one iteration did; a line of the history.
+    """One iteration; a line of the history.
 
     Attributes
     ----------
-    stage, iteration : counted from 0; `stages` and `iterations` (at most) say of how many
-    seconds, paths : since the start of the run
-    cost, cost_standard_error : data term over the stage's pixels, without dimension
-    prior : its value times the stage's weight
-    epsilon, delta : of the estimate on the finest grid, if the truth is known
-    expected_cost : what noise of the measured images alone makes the true cloud's cost, on average, if it is known
+    stage, iteration : numbers of stage and iteration, counted from 0
+    stages, iterations : number of stages, and largest number of the stage's iterations
+    seconds, paths : time, and number of paths, since the start of the run
+    cost, cost_standard_error : data term over the stage's pixels, and its standard error, without unit
+    prior : value of the prior times the stage's weight
+    epsilon, delta : errors of the estimate on the finest grid (`scene.metrics`), if the truth is known
+    expected_cost : mean cost of the true cloud, by the measured images' noise alone; None if the noise is not known
     """
 
     stage: int
@@ -44,13 +45,13 @@ class IterationRecord:
 
     @property
     def is_fitted(self) -> bool:
-        """Whether the images' noise explains the cost, nearly; also where it is not known."""
+        """Whether the images' noise nearly explains the cost; true, too, if the noise is not known."""
         if self.expected_cost is None:
             return True
         return self.cost - _SIGNIFICANCE * self.cost_standard_error <= _FITTED * self.expected_cost
 
 
-# A history's columns: unit, and what they are.
+# A history's columns: unit and meaning.
 COLUMNS = {
     "stage": ("1", "which stage"),
     "stages": ("1", "of how many stages"),
@@ -66,14 +67,15 @@ COLUMNS = {
     "expected_cost": ("1", "cost of the true cloud by noise of the measured images alone, on average"),
 }
 MASK, STANDARD_ERROR = "mask", "extinction_standard_error"
-# What a result has beside its extinction, in files and in datasets: unit, and what it is.
+# Variables of a result besides its extinction, in files and datasets: unit and meaning.
 VARIABLES = {
     MASK: ("1", "voxels that the recovery could fill: 1, others 0"),
     STANDARD_ERROR: ("km-1", "standard error of extinction, from noise and what the prior leaves open"),
 }
-# A cost of no more than so many times the expected one, within so many standard errors, counts as explained by noise.
+# Noise explains a cost that is at most _FITTED times the expected one, or exceeds that by _SIGNIFICANCE standard errors
+# or less.
 _FITTED, _SIGNIFICANCE = 3.0, 2.0
-# Lines of a history that are shown at its beginning and its end.
+# Number of lines of a history that are shown from its beginning, and from its end.
 _SHOWN = 5
 
 
@@ -123,15 +125,16 @@ class Reconstruction:
 
     Attributes
     ----------
-    grid, extinction : km^-1, float32, shape of the grid
-    mask : bool, where extinction was sought
+    grid : the scene's grid
+    extinction : recovered extinction, km^-1, float32, shape of the grid
+    mask : voxels in which extinction was sought, bool, shape of the grid
     history : one record per iteration; `history.columns` has them as arrays
-    stage_ends : seconds since the start of the run
-    standard_error : of the extinction, km^-1, float32, shape of the grid (docs/explanation/uncertainty.md says of
-        what); none if it was not asked for, or is not known
-    timed_out : whether its time limit ended it
-    no_standard_error : why there is none, in words
-    views : as they were found: those of the measurements, moved where their pointing was uncertain
+    stage_ends : ends of the stages, seconds since the start of the run
+    standard_error : standard error of the extinction, km^-1, float32, shape of the grid
+        (docs/explanation/uncertainty.md says what it includes); None if it was not asked for, or is not known
+    timed_out : whether the time limit ended the run
+    no_standard_error : text that says why there is no standard error
+    views : views of the measurements, moved where their pointing was uncertain
     """
 
     grid: Grid
@@ -183,6 +186,6 @@ class Reconstruction:
 
 
 def _described(described: tuple[str, str]) -> dict[str, str]:
-    """The attributes of a variable: unit, and what it is."""
+    """The attributes of a variable from its unit and meaning."""
     units, long_name = described
     return {"long_name": long_name, "units": units}

@@ -1,4 +1,4 @@
-"""Priors that measure a cloud by its own mean extinction: they know of no cloud's brightness."""
+"""Priors that scale with a cloud's mean extinction, so that they do not depend on its brightness."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cloudtomo_cl.inversion.terms import Term
 def mean_extinction(extinction: np.ndarray) -> float:
     """s = sum b^2 / sum b, the mean of an extinction over the cloud's optical mass, km^-1; 0 where there is no cloud.
 
-    It follows neither from how much clear air there is, nor from a threshold.
+    It depends neither on the amount of clear air nor on a threshold.
     """
     total = float(np.sum(extinction))
     return float(np.sum(np.square(extinction))) / total if total > 0 else 0.0
@@ -23,17 +23,17 @@ def mean_extinction(extinction: np.ndarray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class RelativePrior:
-    """A prior W of b / scale, with the scale f = s(b) / reference of the extinction itself.
+    """A prior W of b / f, with the factor f = s(b) / reference of the extinction b.
 
-    As it stands it is the function W(b / f(b)) of the extinction alone, with its exact gradient. A solver's step
-    minimises with the scale `frozen` where it starts from: a scale that follows within a step would reward
-    peaks, since a peak raises the scale and all else then looks smoother (docs/decisions/relative-priors.md).
+    `value_and_gradient` is that of the function W(b / f(b)), with its exact gradient. A solver's step minimises with
+    the factor `frozen` at its start: a factor that changed within a step would reward peaks, since a peak raises it,
+    and all else then looks smoother (docs/decisions/relative-priors.md).
 
     Attributes
     ----------
-    inner : W
-    reference : km^-1, the mean extinction s that W's numbers are said for
-    least : km^-1, of which s is taken where the cloud has less: beside next to nothing every cloud would be a peak
+    inner : prior W
+    reference : mean extinction s for which W's numbers hold, km^-1
+    least : lower bound of s, km^-1: in units of a smaller one every cloud would look like a peak
     """
 
     inner: StagePrior
@@ -44,7 +44,7 @@ class RelativePrior:
         factor = self._factor(extinction)
         value, slope = self.inner.value_and_gradient(extinction / factor, units)
         total, mean = float(np.sum(extinction)), mean_extinction(extinction)
-        if not mean > self.least:  # the scale is another's
+        if not mean > self.least:  # the factor is constant
             return value, slope / factor
         along = float(slope @ extinction) / factor / mean
         return value, slope / factor - along * (2 * extinction - mean) / total
@@ -90,6 +90,6 @@ class ScaledPrior:
         return self.inner.perturbation(random, units) / self.factor
 
     def term(self, units: NoiseUnits, scale: float = 1.0) -> Term:
-        """See `DevicePrior`; the inner one is another."""
+        """See `DevicePrior`; the inner prior must be one, too."""
         inner = cast(DevicePrior, self.inner)
         return inner.term(units, scale / self.factor)

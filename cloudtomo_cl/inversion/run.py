@@ -1,4 +1,4 @@
-"""A run of a recovery: what is done after every iteration (watchers), and when it ends (stopping rules)."""
+"""A run of a recovery: its state, the watchers called after every iteration, and the rules that end it."""
 
 from __future__ import annotations
 
@@ -20,22 +20,23 @@ from cloudtomo_cl.parallel.ranks import ALONE, Ranks
 from cloudtomo_cl.scene.grid import resample_in_mask
 from cloudtomo_cl.scene.metrics import delta, epsilon
 
-# Beyond any cloud: the optical depth across a voxel's longest edge at which a solver has diverged. (What a medium takes
-# at most, transport/medium.py, is far more, across the shortest edge: there a unit is wrong.)
+# Optical depth across a voxel's longest edge, larger than any cloud's, at which a solver has diverged. (The limit of
+# transport/medium.py is far larger, and across the shortest edge: it finds wrong units.)
 DIVERGED_DEPTH = 1000.0
 
 
 @dataclass
 class Run:
-    """What goes on from stage to stage.
+    """The state of a run that goes on from stage to stage.
 
     Attributes
     ----------
-    stages : all of them
-    mask : bool, on the finest grid
-    stage, iteration : where the run stands: counted from 0, and done in this stage
-    history, stage_ends : as of `Reconstruction`
-    start : the clock's time at which it began, were there no resumes
+    stages : all stages
+    mask : voxels that may hold cloud, bool, on the finest grid
+    stage : number of the present stage, counted from 0
+    iteration : number of iterations done in it
+    history, stage_ends : as in `Reconstruction`
+    start : time of `time.perf_counter` at the start of the run, s; pauses before resumes are taken out
     """
 
     stages: Sequence[Stage]
@@ -48,7 +49,7 @@ class Run:
 
     @classmethod
     def resumed(cls, stages: Sequence[Stage], mask: np.ndarray, checkpoint: Checkpoint) -> Run:
-        """As a checkpoint has it."""
+        """The run as a checkpoint has it."""
         return cls(
             stages,
             mask,
@@ -61,12 +62,12 @@ class Run:
 
     @property
     def seconds(self) -> float:
-        """Since the start, without what lay between a run and its resume."""
+        """Time since the start, s, without the pauses before resumes."""
         return time.perf_counter() - self.start
 
     @property
     def paths(self) -> int:
-        """Of all iterations so far."""
+        """Number of paths of all iterations so far."""
         return self.history[-1].paths if self.history else 0
 
     def on_finest_grid(self, extinction: np.ndarray) -> np.ndarray:
@@ -75,30 +76,30 @@ class Run:
 
 
 class Watcher(Protocol):
-    """Is called after every iteration; `run` counts it already, but for what earlier watchers have yet to add."""
+    """A function called after every iteration. `KeepHistory` counts the iteration in `run`: later watchers see that."""
 
     def __call__(self, run: Run, problem: Problem, state: Any, progress: Progress) -> None: ...
 
 
 class StoppingRule(Protocol):
-    """Whether no iteration may follow. Asked only where one would."""
+    """A function that says whether the run ends here. It is asked only where another iteration would follow."""
 
     def __call__(self, run: Run) -> bool: ...
 
 
 def require_same(run: Run, problem: Problem, state: Any, progress: Progress) -> None:
-    """TransportError if ranks have come to different bits: they would soon wait for each other for ever."""
+    """Raises TransportError if ranks' results differ in any bit: they would soon wait for each other for ever."""
     problem.operator.ranks.require_same(np.asarray(state.extinction), "the extinction")
 
 
 def guard_divergence(run: Run, problem: Problem, state: Any, progress: Progress, solver: Any = None) -> None:
-    """Stops a solver that runs away, before a render of it takes for ever.
+    """Stops a solver that has diverged, before rendering its result takes for ever.
 
-    solver : whose settings the error advises on
+    solver : solver, for advice on its settings in the error
 
     Raises
     ------
-    TransportError : a voxel of what would be rendered next is deeper than any cloud's, or the cost is not finite
+    TransportError : a voxel of the next extinction is deeper than any cloud's, or the cost is not finite
     """
     depth = np.asarray(state.extinction) * max(problem.grid.spacing)
     wrong = np.flatnonzero(~(depth < DIVERGED_DEPTH))
@@ -114,7 +115,7 @@ def guard_divergence(run: Run, problem: Problem, state: Any, progress: Progress,
 
 
 def _advice(solver: Any) -> str:
-    """What to do about a solver that diverges, by the settings that it has."""
+    """Advice about a solver that diverges, by the settings that it has."""
     if hasattr(solver, "step_size"):
         return "choose a smaller step_size of the solver"
     if hasattr(solver, "damping"):
@@ -124,11 +125,12 @@ def _advice(solver: Any) -> str:
 
 @dataclass(frozen=True)
 class KeepHistory:
-    """Adds a record to the history, with the errors against a known truth, and tells the user's callback.
+    """Adds a record to the history, with the errors if the truth is known, and calls the user's callback.
 
     Attributes
     ----------
-    truth : km^-1, on the finest grid
+    truth : true extinction, km^-1, on the finest grid, if it is known
+    callback : function that the first rank calls with each record
     """
 
     truth: np.ndarray | None = None
@@ -173,7 +175,7 @@ class KeepCheckpoints:
         self.take(len(run.history) == 1, run, state)
 
     def take(self, now: bool, run: Run, state: Any) -> None:
-        """One, if it is time or must be now."""
+        """Takes a checkpoint if it is due, or `now` is true."""
 
         def checkpoint() -> Checkpoint:
             return Checkpoint(
@@ -196,8 +198,8 @@ class TimeLimit:
 
     Attributes
     ----------
-    seconds : over all resumes; none: no limit
-    reached : whether it has ended the run
+    seconds : largest time of the run, s, over all resumes; None: no limit
+    reached : whether the limit has ended the run
     """
 
     seconds: float | None
@@ -214,7 +216,7 @@ class TimeLimit:
 
 @dataclass
 class StopRequested:
-    """Ends a run that somebody asks to stop; once asked, it stays so."""
+    """Ends a run when `asked` returns true on any rank; after that the answer stays true."""
 
     asked: Callable[[], bool] | None
     ranks: Ranks = ALONE
@@ -233,7 +235,7 @@ def settled(run: Run) -> bool:
 
 
 def records(checkpoint: Checkpoint) -> list[IterationRecord]:
-    """The history of a checkpoint. DataError if another version made it."""
+    """The history of a checkpoint. Raises DataError if another version made it."""
     try:
         return [IterationRecord(**row) for row in checkpoint.history]
     except TypeError:

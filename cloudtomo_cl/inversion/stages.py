@@ -15,30 +15,28 @@ from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Count, Grid
 from cloudtomo_cl.scene.scene import NotNegative
 
-# Voxels along the longest axis of the first stage, and how fast they grow.
+# Voxels along the longest axis in the first stage, and their growth from stage to stage.
 _COARSEST = 6
 _GROWTH = 1.8
-# Two windows' mean costs differ if they do by more standard errors than this. With a memory of
-# images the costs of a window are correlated, so that noise passes for progress more often than
-# the 2.5 % of independent ones: a stage then ends later.
+# Two windows' mean costs differ if they do by more standard errors than this. As images are averaged
+# over iterations, the costs of a window are correlated, so that noise passes for progress more often
+# than the 2.5 % of independent costs: a stage then ends later.
 _SIGNIFICANCE = 2.0
 
 
 @answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Stage:
-    """One resolution of the descent.
+    """The iterations on one grid, from coarse to fine.
 
     Attributes
     ----------
     grid : numbers of voxels along x, y, z
-    pixels : width and height of the images, as a share of the measured ones
-    samples : paths per pixel and iteration that derivatives are made of, even; by default so many
-        that an iteration has 90 for each voxel that may hold cloud with Gauss-Newton, and no pixel more than 180;
-        60,000 in a descent
-    iterations : at most; the stage ends earlier when its cost has stopped falling
-    window : the least number of iterations whose mean cost is compared with that of as many
-        before
+    pixels : width and height of the images, as a share of the measured images'
+    samples : paths per pixel and iteration for derivatives, even. By default Gauss-Newton takes 90 for each voxel
+        that may hold cloud, but no more than 180 for each pixel; a descent takes 60,000 in all
+    iterations : largest number of iterations; the stage ends earlier when its cost has stopped falling
+    window : least number of iterations whose mean cost is compared with that of as many iterations before
     prior_weight : factor of the prior
     """
 
@@ -54,9 +52,9 @@ class Stage:
 def automatic_stages(grid: Grid, solver: Any = None) -> tuple[Stage, ...]:
     """Stages that grow by a factor of about 1.8 from 6 voxels along the longest axis.
 
-    An axis with fewer voxels than the longest stays in proportion, but has 4 voxels or all of
-    its own. Images have about two pixels per voxel, up to all that were measured. How many iterations a stage
-    has the solver says (`GaussNewton`, by default, needs few of them, descents many).
+    Shorter axes stay in proportion, but have at least 4 voxels, or all if the grid has fewer.
+    Images have about two pixels per voxel, up to all that were measured. The solver says how many iterations
+    a stage has (`GaussNewton`, the default, needs few, a descent many).
     """
     if isinstance(solver, str):
         raise DataError(f"automatic_stages: the solver is {solver!r}: give one, for instance Adam()")
@@ -79,7 +77,7 @@ def _stage_limits(last: bool) -> tuple[int, int]:
 
 
 def stages_of(grid: Grid, stages: Sequence[Stage] | None, solver: Any) -> tuple[Stage, ...]:
-    """Those given, or automatic ones. DataError if it is not clear which iterations count."""
+    """The given stages, or automatic ones. Raises DataError if it is not clear which iterations count."""
     if stages and getattr(solver, "iterations", None) is not None:
         raise DataError("solver.iterations is for automatic stages: give those of each [[stage]], or no [[stage]]")
     return tuple(stages or automatic_stages(grid, solver))

@@ -1,4 +1,4 @@
-"""The cloud that a recovery begins with: as deep as the images say, everywhere alike."""
+"""The uniform cloud with which a recovery begins, as deep as the images say."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from cloudtomo_cl.inversion.objective import AveragedImage
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.scene.grid import Grid, mean_chord
 
-# Optical depth along a mean chord of the box around the mask that is tried first; halved at most so many times.
+# Optical depth along a mean chord of the box around the mask that is tried first, and largest number of halvings.
 _DEEPEST, _HALVINGS = 1.0, 12
-# A cost is higher than another by more than its noise if it is by so many standard errors.
+# Standard errors by which a cost must exceed another one to be higher by more than noise.
 _SIGNIFICANCE = 2.0
-# Random numbers of their own: those of a render have stream 0, those of iterations count from 1.
+# Stream of random numbers that nothing else uses: renders have 0, iterations count from 1.
 _STREAM = 2**32 - 1
 
 
 def uniform_start(problem: Problem, box: np.ndarray, grid: Grid, seed: int) -> float:
-    """The extinction that a recovery begins with in every voxel that may hold cloud, km^-1.
+    """The extinction with which a recovery begins in every voxel that may hold cloud, km^-1.
 
-    An optical depth of 1 along a mean chord of the box around these voxels, halved as long as the images of a cloud
-    that is everywhere alike then fit better. Beside a cloud that is much thinner, or over bright ground, where a thin
-    cloud makes little difference, images of a deeper start would say by their derivatives that there is no cloud.
+    It is an optical depth of 1 along a mean chord of the box around these voxels, halved as long as images of a uniform
+    cloud then fit better. If the true cloud is much thinner, or thin over bright ground where it makes little
+    difference, the derivatives at a deeper start would say that there is no cloud.
 
     Parameters
     ----------
-    problem : of the first stage
-    box : bool, shape of `grid`: which voxels may hold cloud
-    grid : the finest
-    seed : of the recovery
+    problem : problem of the first stage
+    box : voxels that may hold cloud, bool, shape of `grid`
+    grid : finest grid
+    seed : seed of the recovery
     """
     voxels = np.argwhere(box)
     edges = (voxels.max(axis=0) - voxels.min(axis=0) + 1) * grid.spacing

@@ -12,16 +12,16 @@ from cloudtomo_cl.scene.masks import checked_mask
 
 @dataclass(frozen=True, eq=False)
 class Voxels:
-    """Voxels of a mask, in the order of `array[mask]`.
+    """The voxels of a mask, in the order of `array[mask]`.
 
     Attributes
     ----------
-    grid : where they lie
-    mask : bool, shape of the grid; given 0 and 1, it becomes so
+    grid : grid of the voxels
+    mask : voxels that may hold cloud, shape of the grid; bool, into which 0 and 1 are converted
 
     Raises
     ------
-    DataError : the mask is none of the grid (`checked_mask`)
+    DataError : the mask does not fit the grid (`checked_mask`)
     """
 
     grid: Grid

@@ -8,7 +8,7 @@ import numpy as np
 
 
 class DeviceArray(Protocol):
-    """What is used of pyopencl's arrays."""
+    """The part of pyopencl's array interface that this package uses."""
 
     @property
     def shape(self) -> tuple[int, ...]: ...
@@ -30,27 +30,27 @@ class DeviceArray(Protocol):
         ...
 
     def get_async(self) -> tuple[np.ndarray, Any]:
-        """A copy on the host, and the event when it is there."""
+        """A copy on the host that is still being filled, and the event that says when it is complete."""
         ...
 
     def set(self, values: np.ndarray, /) -> None:
-        """Takes the values of an array of the host."""
+        """Copies an array of the host into this array."""
         ...
 
     def fill(self, value: float, /) -> Any:
-        """Makes all values one."""
+        """Sets all elements to one value."""
         ...
 
     def copy(self) -> DeviceArray:
-        """Another with the same values."""
+        """A second array on the device with the same values."""
         ...
 
     def astype(self, dtype: Any, /) -> DeviceArray:
-        """A copy of another type."""
+        """A copy with another dtype."""
         ...
 
     def view(self, dtype: Any, /) -> DeviceArray:
-        """The same memory as numbers of another type."""
+        """The same memory, read as another dtype."""
         ...
 
     def __mul__(self, factor: Any, /) -> DeviceArray: ...

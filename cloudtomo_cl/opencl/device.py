@@ -25,20 +25,20 @@ from cloudtomo_cl.opencl.recording import Recorder
 from cloudtomo_cl.parallel.ranks import ALONE, Ranks
 
 ENVIRONMENT_VARIABLE = "CLOUDTOMO_DEVICE"
-# On a GPU a work item walks several paths, one after the other (kernels/walk/turns.h): at most so many, and so few that
-# so many groups are left for every compute unit, which some of them wait for.
+# On a GPU a work item walks several paths, one after the other (kernels/walk/turns.h): _MOST_TURNS at most, and fewer
+# where less than _GROUPS_OF_UNIT work-groups would be left for each compute unit, so that none runs out of work.
 _MOST_TURNS, _GROUPS_OF_UNIT = 64, 64
-# Work items of the first launch of its kind, and of the largest.
+# Number of work items of the first launch of a kind, and of the largest launch.
 _FIRST_LAUNCH = 1 << 18
 _LARGEST_LAUNCH = 1 << 24
-# A GPU's largest launch: a path for so many bytes of its memory, but no more than these.
+# Largest launch on a GPU: one path for every _BYTES_OF_LAUNCH bytes of its memory, at most _LARGEST_ON_GPU paths.
 _BYTES_OF_LAUNCH, _LARGEST_ON_GPU = 256, 1 << 27
-# Drivers that are known to compute wrongly, by a part of the device's name: what is said when one is opened.
+# Drivers that are known to compute wrongly: part of the device's name, and the warning when the device is opened.
 _FAULTS = {
     "llvmpipe": "it ends loops after 65,535 rounds and says nothing, so paths through thick clouds are cut short "
     "(no audit sees it), and it has crashed in gradients: choose another device for results",
 }
-# How many threads PoCL's device for CPUs has: of earlier and of later releases.
+# Environment variables for the number of threads of PoCL's CPU device, in earlier and in later releases.
 _THREADS_OF_POCL = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
 _WIDE_ATOMICS_EXTENSION = "cl_khr_int64_base_atomics"
 _WIDE_ATOMICS, _NARROW_ATOMICS = "64-bit atomics", "32-bit atomics with carry"
@@ -66,12 +66,12 @@ def _import_pyopencl() -> Any:
     return pyopencl
 
 
-# The process that has talked to drivers: what they have set up does not outlive a fork.
+# Id of the process that has used OpenCL. What drivers set up there does not work in a forked process.
 _process: list[int] = []
 
 
 def check_process() -> None:
-    """DeviceError in a process that was forked from one that has used a device: drivers would wait there for ever."""
+    """Raises DeviceError in a process forked from one that had used OpenCL: its drivers would wait for ever."""
     if _process and os.getpid() not in _process:
         raise DeviceError(
             "this process was forked from one that had used OpenCL, whose drivers do not work here: start processes "
@@ -79,7 +79,7 @@ def check_process() -> None:
         )
 
 
-# What OpenCL calls a lack of memory; INVALID_BUFFER_SIZE: larger than the device's largest piece.
+# OpenCL's error codes for a lack of memory; INVALID_BUFFER_SIZE: a buffer is larger than the device allows.
 _OUT_OF_MEMORY = ("MEM_OBJECT_ALLOCATION_FAILURE", "OUT_OF_RESOURCES", "OUT_OF_HOST_MEMORY", "INVALID_BUFFER_SIZE")
 
 
@@ -110,11 +110,11 @@ def kernels_folder() -> Path:
 
 @contextmanager
 def _include_folders() -> Iterator[list[str]]:
-    """Where compilers find the headers; copies where a space in the path would confuse them (PoCL's)."""
+    """Folders in which compilers find the headers; a copy where a space in the path would confuse PoCL's compiler."""
     import pyopencl
 
     ours = kernels_folder()
-    # pyopencl adds its own folder to the options, but of a path with a space PoCL makes nothing.
+    # pyopencl adds a folder of headers to the options itself, but PoCL cannot read a path with a space.
     theirs = Path(pyopencl.__file__).parent / "cl"
     folders = [folder for folder in (ours, theirs) if " " in str(folder)]
     if not folders or " " in tempfile.gettempdir():
@@ -186,7 +186,7 @@ def list_devices() -> list[DeviceInfo]:
 
 
 def _options(device: Any) -> tuple[str, ...]:
-    """Of its compiler: no warnings on the terminal of users; on a GPU divisions and square roots as on CPUs."""
+    """Compiler options: no warnings on the user's terminal; on GPUs divisions and square roots rounded as on CPUs."""
     cl = _import_pyopencl()
     options: tuple[str, ...] = ("-cl-std=CL1.2", "-w")
     exact = bool(device.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT)
@@ -200,14 +200,14 @@ class Device:
 
     Attributes
     ----------
-    is_cpu : whether the device is a CPU. An accelerator is none, even if it shares the machine's memory
-    lock : of what threads share: a kernel's arguments are its own, from when they are set until it is launched
-    regenerates : whether a work item that has finished its path takes another one: on GPUs, whose work items run in
-        lockstep
-    keeps_local : whether what a path is while it flies lies in local memory
-    group_size : work items of a group
-    options : of its compiler
-    ranks : those that share what is computed here, each on a device of its own
+    is_cpu : whether the device is a CPU. An accelerator does not count as one, even if it shares the machine's memory
+    lock : lock that a thread holds while it builds a kernel, or sets a kernel's arguments and launches it
+    regenerates : whether a work item that has finished its path takes another one: true on GPUs, whose work items run
+        in lockstep
+    keeps_local : whether the state of a path in flight is kept in local memory (kernels/walk/kept.h)
+    group_size : number of work items in a work-group
+    options : options of the kernel compiler
+    ranks : ranks that share the computations; each of them has opened a device
     """
 
     @device_errors("opening the device")
@@ -236,7 +236,7 @@ class Device:
 
     @property
     def shares_memory(self) -> bool:
-        """Whether its memory is the machine's own."""
+        """Whether the device uses the machine's main memory."""
         return bool(self.opencl.host_unified_memory)
 
     @cached_property
@@ -244,7 +244,7 @@ class Device:
         """OpenCL C that comes before every kernel's source: what host and kernels share."""
         from cloudtomo_cl.opencl.layout import declarations
 
-        # Without contraction a path takes the same turns wherever its code is inlined.
+        # Without contraction (fused multiply-add) a path is the same to the last bit wherever its code is inlined.
         lines = ["#pragma OPENCL FP_CONTRACT OFF", *dialect(self.regenerates, self.keeps_local, self.group_size)]
         return "\n".join([*lines, declarations(self.opencl)])
 
@@ -270,7 +270,7 @@ class Device:
                     options += ["-D", "CLOUDTOMO_WIDE_ATOMICS"]
                 try:
                     with warnings.catch_warnings():
-                        # Remarks of a compiler that succeeded are nothing for users.
+                        # A compiler's warnings about a build that succeeded do not concern users.
                         warnings.simplefilter("ignore", cl.CompilerWarning)
                         self._programs[source] = cl.Program(self.context, f"{self.preamble}\n{source}").build(options)
                 except cl.Error as error:
@@ -285,7 +285,7 @@ class Device:
     def kernel(self, file: str, name: str, features: tuple[str, ...] = ()) -> Any:
         """A kernel of a shipped file, for instance kernel("image", "render_paths"); parameters.py has its parameters.
 
-        features : macros that compile in what only some scenes need, for instance
+        features : macros that switch on code which only some scenes need, for instance
             ("CLOUDTOMO_PHASE_TABLE",)
         """
         with self.lock:
@@ -304,7 +304,7 @@ class Device:
         """A buffer with a copy of an array, for kernels to read."""
         cl = _import_pyopencl()
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-        # A buffer has at least one number.
+        # OpenCL has no empty buffers.
         held = values if values.size else np.zeros(1, values.dtype)
         return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(held))
 
@@ -315,30 +315,30 @@ class Device:
         return pyopencl.array.to_device(self.queue, np.ascontiguousarray(values))
 
     def buffer(self, size: int) -> Any:
-        """Memory on the device, `size` bytes, whose values are not set: for arrays of structs."""
+        """A buffer of `size` bytes on the device, not initialised: for arrays of structs."""
         cl = _import_pyopencl()
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
 
     def clear(self, buffer: Any) -> None:
-        """Makes all bytes of a buffer, or of an array's, 0."""
+        """Sets all bytes of a buffer, or of an array's buffer, to 0."""
         cl = _import_pyopencl()
         memory = getattr(buffer, "data", buffer)
         cl.enqueue_fill_buffer(self.queue, memory, np.zeros(1, np.uint8), 0, memory.size)
 
     def read(self, buffer: Any, values: np.ndarray, offset: int = 0) -> None:
-        """Copies a buffer from so many bytes on into an array of the host, whose dtype says what it holds."""
+        """Fills an array of the host from a buffer, from its byte `offset` on."""
         _import_pyopencl().enqueue_copy(self.queue, values, buffer, src_offset=offset)
 
     def write(self, buffer: Any, values: np.ndarray, offset: int = 0, wait: bool = True) -> Any:
-        """Copies an array of the host into a buffer, from so many bytes on; returns the event.
+        """Copies an array of the host into a buffer, from its byte `offset` on; returns the event.
 
-        Without waiting the values must stay as they are until it has ended, and the event is to be kept so long.
+        With wait=False the caller must keep the event, and leave the values unchanged, until the event has ended.
         """
         held = np.ascontiguousarray(values)
         return _import_pyopencl().enqueue_copy(self.queue, buffer, held, dst_offset=offset, is_blocking=wait)
 
     def copied(self, array: DeviceArray) -> np.ndarray:
-        """A copy of a large array on the host: of pyopencl's own (`get`) the array on the device keeps hold."""
+        """A copy on the host of a large array. One by pyopencl's `get` would live as long as the device's array."""
         values = np.empty(array.shape, array.dtype)
         if values.size:
             self.read(array.data, values)
@@ -357,14 +357,14 @@ class Device:
         return pyopencl.array.zeros(self.queue, shape, dtype)
 
     def empty(self, shape: Any, dtype: Any) -> DeviceArray:
-        """An array on the device whose values are not set."""
+        """An array on the device that is not initialised."""
         import pyopencl.array
 
         return pyopencl.array.empty(self.queue, shape, dtype)
 
     @property
     def first_launch(self) -> int:
-        """Work items of the first launch of its kind; on a GPU, of paths, enough for all its compute units."""
+        """Work items of the first launch of a kind; on a GPU the number of paths, enough for all compute units."""
         if not self.regenerates:
             return _FIRST_LAUNCH
         filled = _GROUPS_OF_UNIT * self.group_size * int(self.opencl.max_compute_units)
@@ -372,24 +372,24 @@ class Device:
 
     @property
     def largest_launch(self) -> int:
-        """Work items of the largest launch; on a GPU, whose work items have several paths, of paths. A power of two."""
+        """Work items of the largest launch; on a GPU the number of paths. A power of two."""
         if not self.regenerates:
             return _LARGEST_LAUNCH
         paths = int(self.opencl.global_mem_size) // _BYTES_OF_LAUNCH
         return min(1 << max(paths.bit_length() - 1, 0), _LARGEST_ON_GPU)
 
     def turns(self, paths: int) -> int:
-        """Paths that a work item walks, of a launch of so many: a power of two."""
+        """Number of paths that each work item walks in a launch of `paths` paths: a power of two."""
         if not self.regenerates:
             return 1
         most = paths // (self.group_size * _GROUPS_OF_UNIT * self.opencl.max_compute_units)
         return min(1 << max(most.bit_length() - 1, 0), _MOST_TURNS)
 
     def launch(self, kernel: Any, work_items: int, *arguments: Any, global_offset: int = 0, **named: Any) -> Any:
-        """Queues a kernel on at least `work_items` work items from `global_offset` on (kernels skip the rest).
+        """Queues a kernel on at least `work_items` work items from `global_offset` on (kernels skip the surplus).
 
-        Of kernels that take turns (kernels/walk/turns.h) these are the paths, which fewer work items walk. Returns its
-        event.
+        For kernels that take turns (kernels/walk/turns.h) `work_items` is the number of paths, which fewer work items
+        walk. Returns the event of the launch.
         """
         turns = 1
         if getattr(kernel, "takes_turns", False):
@@ -405,13 +405,13 @@ class Device:
             return kernel(self.queue, size, group, *arguments, global_offset=offset, **named)
 
     def step(self, work: Callable[[], None]) -> None:
-        """Does between launches what is none: where these are repeated, it is done again, too."""
+        """Does work of the host between two launches. Where these are repeated (`repeated`), it is done again."""
         self._recorder.step(work)
 
     def repeated(self, function: Callable[[], None]) -> AbstractContextManager[Callable[[], None]]:
-        """A function that launches the same on the same arrays whenever it is called, and else takes `step`s alone.
+        """`function` as one that costs the host much less time when it is called again: see recording.py.
 
-        Called again, it costs the host a fraction of what it does for the first time: see recording.py.
+        It must make the same launches on the same arrays in every call, and do nothing else but `step`s.
         """
         return self._recorder.repeated(self.queue, function)
 
@@ -422,11 +422,11 @@ def choose_device(name: str | int | None = None, communicator: Any = None) -> De
     Parameters
     ----------
     name : an index of `list_devices`, or a part of a device's or platform's name; by default
-        the environment variable CLOUDTOMO_DEVICE, else the first device, GPUs before CPUs. Several, as "0,1", and
-        those that a part of a name fits, are dealt out among the ranks of a machine
-    communicator : of MPI, by mpi4py, for instance `MPI.COMM_WORLD`: its ranks share what is computed on the device
-        that each of them has opened, and all have the result, with the same bits as of one. Every rank must then do
-        the same things in the same order; by default each rank of a machine takes another GPU, where there are any
+        the environment variable CLOUDTOMO_DEVICE, else the first device, GPUs before CPUs. Where several devices fit,
+        as with "0,1" or a part of a name, the ranks of a machine take them in turn
+    communicator : MPI communicator of mpi4py, for instance `MPI.COMM_WORLD`. Its ranks share each computation, every
+        rank on the device that it has opened, and all get the result, with the same bits as from one rank. Every rank
+        must do the same things in the same order. By default each rank of a machine takes another GPU, if there is one
 
     Raises
     ------
@@ -439,7 +439,7 @@ def choose_device(name: str | int | None = None, communicator: Any = None) -> De
 
 @device_errors("listing the devices")
 def chosen_index(name: str | int | None = None, communicator: Any = None) -> int:
-    """The index of the device that `choose_device` opens on this rank. DeviceError as there."""
+    """The index of the device that `choose_device` opens on this rank. Raises DeviceError as it does."""
     ranks = _ranks_of(communicator)
     return _chosen(_opencl_devices(), name, ranks)
 
@@ -457,7 +457,7 @@ def _chosen(devices: list[Any], name: str | int | None, ranks: Ranks) -> int:
 
 
 def named_devices(name: str | int | None) -> list[str]:
-    """The indices in a name, or the one name that it is; without one what the environment names, or an empty one."""
+    """The indices that a name lists, or the name itself as one entry; None: the environment variable's, or [""]."""
     wanted = str(name) if name is not None else os.environ.get(ENVIRONMENT_VARIABLE, "")
     numbers = [number.strip() for number in wanted.split(",")]
     return numbers if all(map(_is_index, numbers)) else [wanted]
@@ -468,7 +468,7 @@ def _is_index(text: str) -> bool:
 
 
 def _named(devices: list[Any], names: list[str]) -> list[Any]:
-    """The devices that names stand for, of which ranks take one each; all of the first kind without a name."""
+    """The devices that indices or a part of a name stand for; for an empty name all devices of the first one's kind."""
     wanted = names[0]
     if not wanted:
         return [device for device in devices if _kind(device) == _kind(devices[0])]
@@ -479,7 +479,7 @@ def _named(devices: list[Any], names: list[str]) -> list[Any]:
 
 
 def _ranks_of(communicator: Any) -> Ranks:
-    """Those of a communicator; sees to it that those of one machine share its cores, before drivers count them."""
+    """The ranks of a communicator. Divides a machine's cores among its ranks before PoCL's driver counts them."""
     if communicator is None:
         return ALONE
     if not isinstance(communicator, Ranks):

@@ -1,24 +1,24 @@
-"""What kernels are compiled like for a kind of device, and in what groups their work items run."""
+"""How kernels are compiled for each kind of device, and the size of their work-groups."""
 
 from __future__ import annotations
 
 from typing import Any
 
 WORK_GROUP_SIZE = 64
-# An H200 renders 10 % faster than with groups of 64, and makes derivatives 20 % faster.
+# With groups of 128 an H200 renders 10 % faster than with groups of 64, and computes derivatives 20 % faster.
 GROUP_SIZE_ON_NVIDIA = 128
-# Local memory that a work item takes at most (kernels/walk/kept.h), with what groups have beside it.
+# Bytes of local memory that a work item takes at most (kernels/walk/kept.h), its part of the group's included.
 _KEPT_BYTES = 192
 
 
 def dialect(regenerates: bool, keeps_local: bool, group_size: int) -> list[str]:
-    """What kernels are to be compiled like, in OpenCL C; the attributes of `Device`.
+    """Macros in OpenCL C that adapt kernels to a device. The parameters are attributes of `Device`.
 
-    `inline` is an order: compilers for CPUs make functions of what is called in innermost loops. The few large
-    functions that they had better keep are LARGE_FUNCTIONs; all inlined, the kernels run 5 % faster and take twice
-    the time to build. GPUs have them inlined, for a call moves what a work item keeps in registers into memory.
-    RARELY_READ keeps compilers from loading ahead of a loop what few of its rounds need, KEEPS_LOOPS has loops where
-    CPUs have their rounds one after the other. kernels/walk/kept.h says where a path's state is kept while it flies.
+    `inline` is made an order, since compilers for CPUs otherwise call functions even in innermost loops. A few large
+    functions are LARGE_FUNCTIONs, which CPUs do call: with these inlined kernels would run 5 % faster, but take twice
+    as long to build. GPUs inline them, because a call moves a work item's registers into memory. RARELY_READ keeps
+    compilers from loading ahead of a loop what few of its iterations need. KEEPS_LOOPS chooses a loop (GPUs) or
+    unrolled code (CPUs). kernels/walk/kept.h says where the state of a path in flight is kept.
     """
     always = "inline __attribute__((always_inline))"
     return [
@@ -33,20 +33,20 @@ def dialect(regenerates: bool, keeps_local: bool, group_size: int) -> list[str]:
 
 
 def group_size(device: Any) -> int:
-    """Work items of a GPU's groups: whole warps or waves, by what it says of itself, WORK_GROUP_SIZE or more."""
+    """Work items in a GPU's work-groups: whole warps or wavefronts, WORK_GROUP_SIZE or more if the GPU allows it."""
     width, wanted = 1, GROUP_SIZE_ON_NVIDIA if _is_nvidia(device) else WORK_GROUP_SIZE
     for name in ("warp_size_nv", "wavefront_width_amd", "preferred_work_group_size_multiple"):
         try:
             width = max(width, int(getattr(device, name)))
-        except Exception:  # of pyopencl, and attributes that this release lacks: it is another maker's device
+        except Exception:  # pyopencl's errors, or an attribute that it lacks: another maker's device
             continue
     return max(min(-(-wanted // width) * width, int(device.max_work_group_size)), 1)
 
 
 def keeps_local(device: Any, size: int) -> bool:
-    """Whether a GPU keeps paths in local memory, with groups of a size.
+    """Whether a GPU keeps the state of paths in local memory, in work-groups of `size` work items.
 
-    NVIDIA's have enough of it for as many groups as their registers allow; on AMD's it would allow fewer of them.
+    NVIDIA's GPUs have enough local memory for as many groups as their registers allow; AMD's would run fewer groups.
     """
     return _is_nvidia(device) and size * _KEPT_BYTES <= device.local_mem_size
 

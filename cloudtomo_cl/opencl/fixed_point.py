@@ -1,4 +1,4 @@
-"""The sums that kernels make in fixed point (kernels/walk/accumulate.h), as the host finds them."""
+"""Checks, on the host, of the sums that kernels make in fixed point (kernels/walk/accumulate.h)."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def overflow(what: str, where: str = "") -> TransportError:
 
     Parameters
     ----------
-    what : it is, in the singular, for instance "the gradient"
-    where : at which of its indices, for instance ", at voxel (0, 1, 2)", where that is known
+    what : name of the sum, in the singular, for instance "the gradient"
+    where : index of the sum, for instance ", at voxel (0, 1, 2)", if it is known
     """
     return TransportError(
         f"{what} has left the range of its 64-bit sums, or something that is no number was added to it{where}: "
@@ -37,9 +37,9 @@ def require_sums(sums: np.ndarray, what: str, axes: str) -> None:
 
     Parameters
     ----------
-    sums : as the device left them, int64
-    what : they are, for instance "the gradient"
-    axes : what their indices are, for instance "voxel"
+    sums : fixed-point sums as the device left them, int64
+    what : name of the sums, for instance "the gradient"
+    axes : what an index stands for, for instance "voxel"
     """
     place = first_overflow(sums)
     if place is not None:
@@ -47,12 +47,12 @@ def require_sums(sums: np.ndarray, what: str, axes: str) -> None:
 
 
 def summed(sums: np.ndarray, ranks: Ranks, what: str, axes: str) -> np.ndarray:
-    """What all ranks have added up together.
+    """The fixed-point sums of all ranks added up.
 
     Parameters
     ----------
-    sums : of this rank, int64
-    what, axes : as of `require_sums`
+    sums : fixed-point sums of this rank, int64
+    what, axes : as in `require_sums`
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Vectors on a device of which every rank has made a part: all get all of them."""
+"""Vectors on a device of which every rank has computed a part: all ranks get the whole vector."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from cloudtomo_cl.parallel.ranks import Shares
 
 
 class Gathering:
-    """Has ranks tell each other their numbers of vectors: float32, shape (count,). One rank tells nobody anything.
+    """Exchanges the elements of vectors between ranks: float32, shape (count,). With one rank it does nothing.
 
     Parameters
     ----------
-    device : of this rank
-    shares : which rank makes which of the numbers; none where each makes all
+    device : device of this rank
+    shares : which rank computes which elements; None: every rank computes all
     """
 
     def __init__(self, device: Device, shares: Shares | None) -> None:
         self._device, self._shares = device, shares
         self._alone = shares is None or shares.owner is None
-        # Of the last vector: what was copied must stay until it is there.
+        # Event of the last copy. It keeps the array on the host alive until the device has read it.
         self._copied: Any = None
 
     def complete(self, vector: DeviceArray) -> None:
-        """Fills a vector in, of which this rank has made its own numbers, in their places."""
+        """Fills in the elements of other ranks; `vector` already holds this rank's elements in their places."""
         if not self._alone:
             self._device.step(lambda: self._complete(vector))
 
     def join(self, part: DeviceArray, vector: DeviceArray) -> None:
-        """Makes a vector of this rank's numbers, in their order at the beginning of a part, and those of the others."""
+        """Fills `vector` from all ranks; `part` begins with this rank's elements, in their order."""
         if not self._alone:
             self._device.step(lambda: self._join(part, vector))
 
@@ -51,7 +51,7 @@ class Gathering:
             self._device.read(array.data, values)
         return values
 
-    def _hand_out(self, own: np.ndarray, vector: DeviceArray) -> None:
-        """Copies all ranks' numbers without waiting: whatever reads them next stands behind in the queue."""
+    def _hand_out(self, elements: np.ndarray, vector: DeviceArray) -> None:
+        """Copies all ranks' elements to the device without waiting: kernels that read them are queued behind."""
         assert self._shares is not None
-        self._copied = self._device.write(vector.data, self._shares.gathered(own), wait=False)
+        self._copied = self._device.write(vector.data, self._shares.gathered(elements), wait=False)

@@ -1,6 +1,6 @@
-"""Where drivers keep the kernels that they have built, looked at before they try: they do not say what went wrong.
+"""The folder in which drivers keep built kernels, checked before they use it: they do not say what went wrong.
 
-PoCL whose folder cannot be written finds no device, and one whose disk is full ends the process from inside LLVM.
+If the folder cannot be written, PoCL finds no device; if its disk is full, PoCL ends the process from inside LLVM.
 """
 
 from __future__ import annotations
@@ -15,18 +15,19 @@ from cloudtomo_cl.errors import DeviceError
 from cloudtomo_cl.memory import size_text
 
 VARIABLE = "POCL_CACHE_DIR"
-# What all kernels take, with what compilers write on the way; and one of them.
+# Bytes of disk for all kernels, with the compilers' temporary files; and for one kernel.
 _ROOM, _ROOM_FOR_ONE = 64 * 2**20, 4 * 2**20
 _state: dict[str, Path] = {}
 
 
 def prepare() -> None:
-    """Sees to a folder that can be written, before the first call of OpenCL: another one, for this process, where
-    the usual one cannot be, or its disk is full.
+    """Makes sure, before the first call of OpenCL, that kernels can be stored.
+
+    Where the usual folder cannot be written, or its disk is full, this process gets a temporary one.
 
     Raises
     ------
-    DeviceError : there is none
+    DeviceError : the temporary folder cannot be written either
     """
     if "folder" in _state:
         return
@@ -45,7 +46,7 @@ def prepare() -> None:
 
 
 def check() -> None:
-    """DeviceError if the disk has become full since: a driver that builds a kernel then would end the process."""
+    """Raises DeviceError if the disk has become full since `prepare`: a driver would end the process."""
     folder = _state.get("folder")
     if folder is not None and _free(folder) < _ROOM_FOR_ONE:
         raise DeviceError(
@@ -55,7 +56,7 @@ def check() -> None:
 
 
 def usual_folder() -> Path:
-    """Where PoCL keeps kernels."""
+    """The folder in which PoCL keeps built kernels by default."""
     if os.environ.get(VARIABLE):
         return Path(os.environ[VARIABLE])
     if os.environ.get("XDG_CACHE_HOME"):
@@ -64,7 +65,7 @@ def usual_folder() -> Path:
 
 
 def _is_fit(folder: Path) -> bool:
-    """Whether it, or the nearest folder above that is there, can be written and has room."""
+    """Whether the folder, or the nearest parent that exists, can be written and has room."""
     try:
         there = _there(folder)
         if not there.is_dir() or _free(folder) < _ROOM:
@@ -80,7 +81,7 @@ def _there(folder: Path) -> Path:
 
 
 def _free(folder: Path) -> float:
-    """Bytes; without limit where nobody can tell."""
+    """Free bytes on the folder's disk; infinite if that is not known."""
     try:
         return shutil.disk_usage(_there(folder)).free
     except OSError:

@@ -17,34 +17,34 @@ STRUCTS: dict[str, np.dtype] = {
     "Scene": np.dtype(
         [
             ("shape", np.int32, 3),  # voxels along x, y, z
-            ("periodic", np.int32),  # horizontally
+            ("periodic", np.int32),  # whether the domain repeats itself horizontally
             ("spacing", np.float32, 3),  # km
-            ("base_height", np.float32),  # of the domain above the ground, km
+            ("base_height", np.float32),  # height of the domain's bottom above the ground, km
             ("sun", np.float32, 3),  # unit vector towards the sun
             ("forward_g", np.float32),  # the droplets' double Henyey-Greenstein phase function
             ("backward_g", np.float32),
             ("forward_fraction", np.float32),
-            ("wide_g", np.float32),  # asymmetry of two scatterings by droplets
-            ("table_rows", np.int32),  # of the droplets' phase table; 0: they have none
-            ("table_nodes", np.int32),
-            ("air_layers", np.int32),  # from the ground to the atmosphere's top
-            ("air_layers_below", np.int32),  # those below the grid
+            ("wide_g", np.float32),  # asymmetry after two scatterings by droplets
+            ("table_rows", np.int32),  # rows of the droplets' phase table; 0: there is no table
+            ("table_nodes", np.int32),  # angles of the phase table
+            ("air_layers", np.int32),  # number of layers from the ground to the atmosphere's top
+            ("air_layers_below", np.int32),  # number of layers below the grid
             ("droplet_albedo", np.float32),  # single-scattering albedo, without a table
-            ("air_albedo", np.float32),  # single-scattering albedo
+            ("air_albedo", np.float32),  # single-scattering albedo of molecules
             ("surface_albedo", np.float32),
-            ("side_flights", np.int32),  # 0: the plain local estimate
+            ("side_flights", np.int32),  # whether there are side flights; 0: the plain local estimate
             ("truncation", np.float32),  # largest local estimate, sr^-1
             ("skips_empty", np.int32),  # whether walks skip blocks that hold nothing
-            ("empty_shift", np.int32),  # those have 2^empty_shift voxels along each axis
+            ("empty_shift", np.int32),  # such blocks have 2^empty_shift voxels along each axis
         ]
     ),
     "View": np.dtype(
         [
-            ("origin", np.float32, 9),  # km from the domain's lower corner: at (0, 0), per u, per v
-            ("direction", np.float32, 9),
+            ("origin", np.float32, 9),  # at (u, v) = (0, 0), per u, per v; km from the domain's lower corner
+            ("direction", np.float32, 9),  # at (u, v) = (0, 0), per u, per v
             ("width", np.int32),  # pixels
             ("height", np.int32),
-            ("first_ray", np.int32),  # in the array of rays; -1: affine
+            ("first_ray", np.int32),  # index of the first ray in the array of rays; -1: the view is affine
         ]
     ),
     "VirtualCollision": np.dtype(
@@ -52,61 +52,63 @@ STRUCTS: dict[str, np.dtype] = {
             ("position", np.float32, 3),  # voxel units
             ("direction", np.float32, 3),  # unit vector
             ("voxel", np.int32, 3),
-            ("throughput", np.float32),  # of the flight's path
-            ("share", np.float32),  # of the flight in its end's local estimate
+            ("throughput", np.float32),  # throughput of the path on this flight
+            ("share", np.float32),  # share of this flight in the local estimate where it ends
             ("event", np.uint32),  # number of the flight
             ("aside", np.int32),  # whether it is a side flight
-            ("path", np.uint32),  # in its launch
-            ("of", np.uint32),  # so many of its path, of which it is kept
+            ("path", np.uint32),  # number of the path in its launch
+            ("of", np.uint32),  # virtual collisions that the path met; this one stands for all of them
         ]
     ),
-    "Tile": np.dtype(  # of a pixel's near field: near_field.h
+    "Tile": np.dtype(  # voxels near a pixel's line of sight: near_field.h
         [
-            ("axis", np.int32),  # along which its line of sight crosses most voxels
-            ("first_slab", np.int32),  # of voxels across that axis
-            ("slabs", np.int32),
-            ("centre", np.float32, 2),  # where the line is in slab 0 along the next two axes, voxels
-            ("slope", np.float32, 2),  # voxels from slab to slab
+            ("axis", np.int32),  # axis along which the line of sight crosses most voxels
+            ("first_slab", np.int32),  # index of the first slab, a layer of voxels across that axis
+            ("slabs", np.int32),  # number of slabs
+            ("centre", np.float32, 2),  # position of the line in slab 0 along the next two axes, voxels
+            ("slope", np.float32, 2),  # change of that position from slab to slab, voxels
         ]
     ),
     "PixelSums": np.dtype(
         [
-            ("half_sum", np.float32, 2),  # radiances of even and odd samples, sr^-1
-            ("half_low", np.float32, 2),  # what rounding cut off the sums
-            ("square_sum", np.float32),  # of all samples, sr^-2
-            ("square_low", np.float32),
+            ("half_sum", np.float32, 2),  # sums of the radiances of even and of odd samples, sr^-1
+            ("half_low", np.float32, 2),  # rest of these sums that rounding cut off (compensated summation)
+            ("square_sum", np.float32),  # sum of the squared radiances of all samples, sr^-2
+            ("square_low", np.float32),  # rest of it
         ]
     ),
-    "Minimisation": np.dtype(  # where a minimisation stands: minimise.cl
+    "Minimisation": np.dtype(  # state of a minimisation: minimise.cl
         [
-            ("length", np.float32),  # of the next step, in directions
-            ("conjugation", np.float32),  # share of the last change in the next direction
-            ("curvature", np.float32),  # along the last change
-            ("taken", np.float32),  # so many times the last change; 0: it leads up
-            ("gained", np.float32),  # of the function in all
-            ("steps", np.int32),
-            ("poor", np.int32),  # last steps in a row that gained little
-            ("ended", np.int32),
+            ("length", np.float32),  # length of the next step, in units of its direction
+            ("conjugation", np.float32),  # factor of the last change in the next direction
+            ("curvature", np.float32),  # second derivative along the last change
+            ("taken", np.float32),  # factor with which the last change was taken; 0: not at all
+            ("gained", np.float32),  # decrease of the function in all steps
+            ("steps", np.int32),  # number of steps taken
+            ("poor", np.int32),  # number of last steps in a row that gained little
+            ("ended", np.int32),  # whether the minimisation has ended
         ]
     ),
 }
 
-# Where the weight of a path ends. KILLED_VARIANCE and TRUNCATED (radiance, sr^-1) stand beside the balance.
+# How the weight of paths ends (walk/budget.h): what stands before LAUNCHED sums up to it, the weight of all paths.
+# KILLED_VARIANCE and TRUNCATED (radiance, sr^-1) are no part of this balance.
 TERMINATIONS = (
     "TOP", "BOTTOM", "SIDES", "MISSED", "ABSORBED", "SURFACE", "KILLED", "LOST",
     "LAUNCHED", "KILLED_VARIANCE", "TRUNCATED",
 )  # fmt: skip
-# What photons leave behind in the columns of the grid.
+# Weights that photons add up in each column of the grid (flux.cl).
 FLUXES = ("REFLECTED", "DIRECT", "DIFFUSE", "ABSORBED")
+# Units of the fixed-point sums of a weight of 1, and number of copies of the energy budget (walk/budget.h).
 WEIGHT_UNIT = 2.0**24
 BUDGET_COPIES = 64
 TABLE_UNIT = 2.0**30
 # Units of the fixed-point sums of derivatives per sr^-1 km: rounding is far below the deposits that matter (about
 # 1e-6), and a sum of them may reach 2^30 before it overflows.
 DERIVATIVE_UNIT = 2.0**32
-# Voxels of a pixel's tile across its line of sight: near_field.h.
+# Width of a pixel's tile across its line of sight, voxels: near_field.h.
 TILE_WIDTH = 5
-# Paths of a pixel: kernels number them with unsigned integers of 32 bits.
+# Largest number of paths of a pixel: kernels number them with unsigned integers of 32 bits.
 MOST_SAMPLES = 2**32 - 1
 # Sums in fixed point that leave this range on either side have overflowed: fixed_point.py.
 LARGEST_SUM = 2**62
@@ -129,7 +131,7 @@ def _constants() -> str:
 
 
 def declarations(device: Any) -> str:
-    """OpenCL C declarations of all that both sides share; structs are checked against the device's own layout."""
+    """OpenCL C declarations of all that both sides share; the structs' layout is checked against the device's."""
     from pyopencl.tools import get_or_register_dtype, match_dtype_to_c_struct
 
     parts = [_constants()]
@@ -204,7 +206,8 @@ def sun_view_struct(scene: Scene, box: tuple[np.ndarray, np.ndarray] | None = No
     It is the top of the domain (or of the atmosphere), a pixel for each column; with open sides
     wider by what of the sides the sun can see.
 
-    box : of an open domain, the part that photons are to meet: two corners, km from the domain's lower one, shape (3,)
+    box : lower and upper corner, shape (3,), km from the domain's lower corner, of the part of an open domain that
+        photons are to meet; by default all of it
     """
     grid, to_sun = scene.grid, scene.sun.direction
     lower, upper = np.zeros(3), np.array(grid.extent)

@@ -1,4 +1,4 @@
-"""How much memory of a device and of the machine a computation needs."""
+"""Memory that a computation needs on a device and on the machine."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from cloudtomo_cl.errors import DeviceError
 from cloudtomo_cl.memory import require, size_text
 from cloudtomo_cl.opencl.device import Device
 
-# Of a device's memory, what stored paths may take: others lie on the machine.
+# Largest share of a device's memory for stored paths: the rest of them is kept in the machine's memory.
 _STORED_SHARE = 0.5
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """Bytes that arrays take which live at the same time.
+    """Bytes of memory of the arrays that exist at the same time.
 
     Attributes
     ----------
-    device : on the device
-    largest : the largest buffer there
-    host : on the machine
-    stored : of paths that are stored, on the device as far as it has room for them, else on the machine
+    device : bytes on the device
+    largest : bytes of the largest buffer on the device
+    host : bytes in the machine's memory
+    stored : bytes of stored paths: on the device as far as it has room, else in the machine's memory
     """
 
     device: float = 0.0
@@ -35,7 +35,7 @@ class Footprint:
         return Footprint(self.device + other.device, largest, self.host + other.host, self.stored + other.stored)
 
     def require(self, device: Device, what: str, advice: str) -> None:
-        """Checks that it fits.
+        """Checks that the device and the machine have that much memory.
 
         Parameters
         ----------
@@ -51,7 +51,7 @@ class Footprint:
             there = stored_on_device(device, self.stored)
             held = replace(self, device=self.device + there, host=self.host + self.stored - there, stored=0.0)
             return held.require(device, what, advice)
-        # A CPU's memory is the machine's own, whatever its driver says: PoCL 3.0 said 5.3 GB of 24, and gave 9.
+        # A CPU uses all of the machine's memory, whatever its driver says: PoCL 3.0 said 5.3 GB of 24 GB, and gave 9.
         total = math.inf if device.is_cpu else device.opencl.global_mem_size
         for needed, there, piece, words in (
             (self.device, total, "", "has"),
@@ -62,10 +62,10 @@ class Footprint:
                     f"{what} needs about {size_text(needed)} of memory{piece}, device {device.name} {words} "
                     f"{size_text(there)}: {advice}"
                 )
-        own = self.host + (self.device if device.shares_memory else 0)
-        require(own * device.ranks.on_node, what, advice)
+        in_main_memory = self.host + (self.device if device.shares_memory else 0)
+        require(in_main_memory * device.ranks.on_node, what, advice)
 
 
 def stored_on_device(device: Device, size: float) -> float:
-    """How much of so many bytes of stored paths lies on the device."""
+    """How many of the `size` bytes of stored paths lie on the device."""
     return size if device.shares_memory else min(size, _STORED_SHARE * device.opencl.global_mem_size)

@@ -1,4 +1,4 @@
-"""How large launches are: so long that a desktop's watchdog and a progress bar live, and one queued behind another."""
+"""The size of launches: short enough for a desktop's watchdog and a progress bar, with one more always queued."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from typing import Any
 
 from cloudtomo_cl.opencl.device import Device, device_errors
 
-# What a launch should take, and how many may be queued behind the one that runs.
+# Seconds that a launch should take, and number of launches queued behind the one that runs.
 _LAUNCH_SECONDS, _AHEAD = 0.4, 1
 
 
 class Pace:
-    """Sizes launches by what those before them took, and keeps the device busy while the host prepares the next.
+    """Sizes launches by the time of those before, and keeps the device busy while the host prepares the next one.
 
     Attributes
     ----------
-    work_items : what the next launch should have
+    work_items : number of work items that the next launch should have
     """
 
     def __init__(self, device: Device) -> None:

@@ -16,19 +16,19 @@ import numpy as np
 
 from cloudtomo_cl.opencl.vector_parameters import VECTOR_KERNELS
 
-# What a path needs of the scene: walk/medium.h.
+# Parameters that describe the scene to a path: walk/medium.h.
 MEDIUM = (
     "__constant Scene *scene",
-    "const __global float *extinction",  # of droplets, km^-1, [x][y][z]
-    "const __global float *table_row",  # per voxel, a row of the phase table or between two
-    "const __global uchar *empty",  # per block: how many blocks around hold nothing
-    "const __global float *profiles",  # of the air and the phase table, see make_medium
+    "const __global float *extinction",  # extinction of droplets, km^-1, [x][y][z]
+    "const __global float *table_row",  # [voxel]: row of the phase table, or a place between two rows
+    "const __global uchar *empty",  # [block]: how many blocks around it hold nothing, see walk_skip
+    "const __global float *profiles",  # profiles of the air and the phase table, see make_medium
 )
-# Paths from cameras: `sample_in_launch * pixel_count + pixel` is the number of one in its launch.
+# Paths from cameras: a path's number in its launch is `sample_in_launch * pixel_count + pixel`.
 PATHS = (
     *MEDIUM,
     "const __global View *views",
-    "const __global float *rays",  # of the views that are lists of rays
+    "const __global float *rays",  # [ray][6]: rays of the views that are lists of rays
     "const __global uint2 *pixels",  # (view, pixel)
     "const uint pixel_count",
     "const uint first_sample",
@@ -36,31 +36,31 @@ PATHS = (
     "const uint seed",
     "const uint stream",
 )
-# Of kernels whose work items walk several paths on a GPU: kernels/walk/turns.h. `Device.launch` gives it.
+# Parameter of kernels whose work items walk several paths on a GPU (kernels/walk/turns.h); `Device.launch` sets it.
 TURNS = "turns"
 _TURNS = (f"const uint {TURNS}",)  # paths per work item
 _REPLAY = (
     *PATHS,
-    "const __global float *path_radiance",  # from render_paths, sr^-1
-    "volatile __global uint *astray",  # number of paths that contribute something else now
+    "const __global float *path_radiance",  # [path]: radiance from render_paths, sr^-1
+    "volatile __global uint *astray",  # number of paths whose radiance is now another one
 )
 _TABLE = (
-    "const __global int *column",  # of every voxel in the radiance table, or -1
-    "const __global uint4 *cells",  # of every column: its first cell, and parts along x, y, z
-    "const __global float *diffuse",  # [cell][2][bin]: source - radiance, and the source, sr^-1
-    "const __global float *sunlight",  # [cell]: direct, share of the irradiance
+    "const __global int *column",  # [voxel]: column of the radiance table, or -1
+    "const __global uint4 *cells",  # [column]: first cell, and numbers of cells along x, y, z
+    "const __global float *diffuse",  # [cell][2][bin]: source minus radiance, and source, sr^-1
+    "const __global float *sunlight",  # [cell]: direct sunlight, share of the irradiance
 )
-_STARTS = (  # of photons
+_STARTS = (  # starts of photons
     *MEDIUM,
     "const __global View *sun_view",
     "const uint pixel_count",
-    "const __global float *box",  # lower and upper corner, voxels
+    "const __global float *box",  # lower and upper corner, voxel units
     "const uint first_sample",
     "const uint seed",
     "const uint stream",
 )
 _GRADIENT = (
-    "const __global float2 *adjoint",  # per pixel: even, odd samples
+    "const __global float2 *adjoint",  # [pixel]: derivative of the cost by the radiance of even, odd samples
     "const __global float *virtual_extinction",  # [x][y][z], km^-1; below 0: nothing is deposited
     "volatile __global Accumulator *gradient",  # [x][y][z]
 )
@@ -71,21 +71,21 @@ _TILES = (
 )
 _ROWS = (
     "const __global Tile *tiles",
-    "const __global uint *slot_start",  # of every pixel's tile
+    "const __global uint *slot_start",  # [pixel]: first slot of the pixel's tile
     "const uint first_pixel",
     "const uint row_count",
 )
 _COLUMNS = (
     "const uint voxel_count",
-    "const __global uint *column_start",
-    "const __global uint *rows",  # of every column's entries
-    "const __global float *values",  # of these
-    "const __global int *block",
+    "const __global uint *column_start",  # [voxel]: place of the column's first entry
+    "const __global uint *rows",  # [entry]: pixel
+    "const __global float *values",  # [entry]: derivative, W m^-2 sr^-1 km
+    "const __global int *block",  # [voxel]: block of the far field
 )
 _FAR = (
     "const uint pixel_block_count",
     "const uint block_count",
-    "const __global float *far",  # [pixel block][block]
+    "const __global float *far",  # [pixel block][block]: mean derivative, W m^-2 sr^-1 km
 )
 _STEP = (
     "const uint voxel_count",
@@ -127,23 +127,23 @@ KERNELS: dict[str, tuple[str, ...]] = {
     ),
     "path_lengths": (
         *PATHS,
-        "const float unit",  # of the sums, per km
-        "volatile __global Accumulator *lengths",  # [x][y][z]
+        "const float unit",  # units of the sums per km
+        "volatile __global Accumulator *lengths",  # [x][y][z]: length of paths in the voxel
     ),
     "gradient_paths": (
         *_REPLAY,
         *_TABLE,
         "const __global float2 *adjoint",
-        "const __global float *change",  # of extinction, km^-1, [x][y][z]
+        "const __global float *change",  # change of the extinction, km^-1, [x][y][z]
         "volatile __global Accumulator *gradient",
-        "__global float *path_tangent",  # each path's derivative along the change, sr^-1
+        "__global float *path_tangent",  # [path]: derivative of its radiance along the change, sr^-1
         *_TURNS,
     ),
     "gradient_rays": (
         *_REPLAY,
         *_TABLE,
-        "const uint ray_count",  # of each pixel
-        "const float weight",
+        "const uint ray_count",  # rays of each pixel
+        "const float weight",  # paths that each ray stands for
         "const __global float2 *adjoint",
         "const __global float *change",
         "volatile __global Accumulator *gradient",
@@ -152,8 +152,8 @@ KERNELS: dict[str, tuple[str, ...]] = {
     "jacobian_rays": (
         *_REPLAY,
         *_TABLE,
-        "const uint ray_count",  # of each pixel
-        "const float weight",
+        "const uint ray_count",  # rays of each pixel
+        "const float weight",  # paths that each ray stands for
         *_ROWS,
         "const __global ushort4 *place",
         "const __global int *block",
@@ -166,12 +166,12 @@ KERNELS: dict[str, tuple[str, ...]] = {
         *_REPLAY,
         *_TABLE,
         *_ROWS,
-        "const __global ushort4 *place",  # of every column: the voxel
-        "const __global int *block",  # of every column
-        "const __global uint *pixel_block",  # of every pixel
+        "const __global ushort4 *place",  # [column]: voxel (x, y, z)
+        "const __global int *block",  # [column]: block of voxels
+        "const __global uint *pixel_block",  # [pixel]: block of pixels
         "const uint block_count",
-        "volatile __global Accumulator *near_sums",  # [slot] of the rows' pixels
-        "volatile __global Accumulator *far_sums",  # [pixel block][block]
+        "volatile __global Accumulator *near_sums",  # [slot]: sums of the pixels in rows
+        "volatile __global Accumulator *far_sums",  # [pixel block][block]: sums
         *_TURNS,
     ),
     "near_count": (*_TILES, "const uint pixel_count", "__global uint *counts"),
@@ -180,19 +180,19 @@ KERNELS: dict[str, tuple[str, ...]] = {
         "__constant Scene *scene",
         "const __global int *column",
         *_ROWS,
-        "const __global uint *row_start",  # of every pixel's entries
+        "const __global uint *row_start",  # [pixel]: the pixel's first entry
         "const __global Accumulator *near_sums",
         "const float keep",
-        "const float unit",  # W m^-2 sr^-1 km of a sum's unit
+        "const float unit",  # W m^-2 sr^-1 km for each unit of the sums
         "__global float *values",
-        "volatile __global uint *overflown",  # number of sums
+        "volatile __global uint *overflown",  # number of sums that have overflowed
     ),
     "average_far": (
         "const uint pixel_block_count",
         "const uint block_count",
         "const __global Accumulator *far_sums",
-        "const __global float *block_pixels",  # pixels of every pixel block
-        "const __global float *block_voxels",  # voxels of every block
+        "const __global float *block_pixels",  # [pixel block]: number of pixels
+        "const __global float *block_voxels",  # [block]: number of voxels
         "const float keep",
         "const float unit",
         "__global float *far",
@@ -204,13 +204,13 @@ KERNELS: dict[str, tuple[str, ...]] = {
         "const __global int *columns",
         "const __global float *values",
         "const __global uint *pixel_block",
-        "const __global float *of_blocks",  # the far field's part, [pixel block]
+        "const __global float *of_blocks",  # [pixel block]: the far field's part of the product
         "const __global float *x",
         "__global float *result",
     ),
     "jacobian_transposed": (
         *_COLUMNS,
-        "const __global float *of_blocks",  # the far field's part, [block]
+        "const __global float *of_blocks",  # [block]: the far field's part of the product
         "const __global float *y",
         "__global float *result",
     ),
@@ -219,20 +219,20 @@ KERNELS: dict[str, tuple[str, ...]] = {
         "const __global uint *pixel_block",
         "const uint block_count",
         "const __global float *far",  # [pixel block][block]
-        "const __global float *of_blocks",
+        "const __global float *of_blocks",  # [block]: the far field's part of the result
         "const __global float *y",
         "__global float *result",
     ),
     "near_by_column": (
         "const uint count",
-        "const __global uint *entries",  # of every column, among the rows' values
+        "const __global uint *entries",  # [entry by columns]: the same entry by rows
         "const __global float *values",
         "__global float *result",
     ),
     "sum_members": (
         "const uint block_count",
-        "const __global uint *member_start",
-        "const __global uint *members",
+        "const __global uint *member_start",  # [block]: place of its first member
+        "const __global uint *members",  # index in x
         "const __global float *x",
         "__global float *result",
     ),
@@ -247,19 +247,19 @@ KERNELS: dict[str, tuple[str, ...]] = {
     "fill_table": (
         *_STARTS,
         "const uint photon_count",
-        "const int enters_box",  # whether photons start on the box; or else in the sun's view
+        "const int enters_box",  # whether photons start on the box; if not, in the sun's view
         "const int weighted",  # whether weights are given
-        "const __global float *weights",
+        "const __global float *weights",  # [photon]
         "const __global int *column",
         "const __global uint4 *cells",
-        "const float unit",  # of the sums, per km
+        "const float unit",  # units of the sums per km
         "volatile __global Accumulator *table_sums",  # [cell][bin]: weight x length
         *_TURNS,
     ),
     "arriving_diffuse": (
         *_STARTS,
         "const uint count",
-        "const float unit",  # of the weights, sr
+        "const float unit",  # factor from a radiance to a weight, sr
         "__global float *weights",
     ),
     "arriving_sunlight": (
@@ -268,20 +268,20 @@ KERNELS: dict[str, tuple[str, ...]] = {
         "__global float *weights",
     ),
     "tabulate": (
-        "volatile __global Accumulator *table_sums",  # what becomes of them takes their place
-        "const __global float *scattering",  # [from bin][into bin]: scattered light
-        "const __global float *solid_angle",  # of every bin, sr
+        "volatile __global Accumulator *table_sums",  # [cell][bin]; overwritten by the table's values
+        "const __global float *scattering",  # [from bin][into bin]: source function by light from a bin, sr^-1
+        "const __global float *solid_angle",  # [bin], sr
         "const __global uint4 *cells",
         "const __global int *cell_column",
         "const uint count",
-        "const float unit",  # of the sums in a whole voxel
-        "volatile __global uint *overflown",  # number of sums
+        "const float unit",  # factor of the sums of a whole voxel: radiance times sr
+        "volatile __global uint *overflown",  # number of sums that have overflowed
     ),
     "direct_sunlight": (
         *MEDIUM,
-        "const __global int *voxel",  # of every column: index
+        "const __global int *voxel",  # [column]: index of the voxel
         "const __global uint4 *cells",
-        "const __global int *cell_column",  # of every cell
+        "const __global int *cell_column",  # [cell]: column
         "const uint count",
         "__global float *sunlight",
     ),
@@ -334,8 +334,8 @@ _NUMBERS: dict[str, Any] = {
     "uint": np.uint32, "int": np.int32, "float": np.float32, "uchar": np.uint8, "ushort": np.uint16,
     "Accumulator": np.int64,
 }  # fmt: skip
-# Types of buffers whose arrays have their components as another axis, or are made of structs: host and kernels agree
-# on those by layout.STRUCTS.
+# dtypes of the arrays for each buffer type; vectors' components are a further axis of the array. Structs are missing
+# here: layout.STRUCTS describes them.
 _ELEMENTS = _NUMBERS | {"uint2": np.uint32, "float2": np.float32, "ushort4": np.uint16}
 
 
@@ -345,28 +345,28 @@ class Parameter:
 
     Attributes
     ----------
-    declaration : in OpenCL C
+    declaration : declaration in OpenCL C
     """
 
     declaration: str
 
     @cached_property
     def name(self) -> str:
-        """The last word."""
+        """The parameter's name: the last word of its declaration."""
         return self.declaration.replace("*", " ").split()[-1]
 
     @cached_property
     def kind(self) -> str:
-        """The type's name, without qualifiers."""
+        """The name of the type, without qualifiers."""
         return self.declaration.replace("*", " ").split()[-2]
 
     @cached_property
     def is_buffer(self) -> bool:
-        """Whether it is memory on the device."""
+        """Whether the parameter is a buffer on the device."""
         return "*" in self.declaration
 
     def converted(self, value: Any) -> Any:
-        """What pyopencl takes for a value.
+        """A value as pyopencl takes it.
 
         Parameters
         ----------
@@ -374,8 +374,8 @@ class Parameter:
 
         Raises
         ------
-        TypeError : of another type than the kernel's
-        OverflowError : an integer that the kernel's type does not hold
+        TypeError : the value has another type than the kernel's parameter
+        OverflowError : the integer does not fit the kernel's type
         """
         if self.is_buffer:
             return self._buffer(value)
@@ -409,7 +409,7 @@ def macro(name: str, declarations: Sequence[str]) -> str:
 
 
 def macros() -> str:
-    """The parameter lists in OpenCL C, KERNEL_PARAMETERS for each; MEDIUM_PARAMETERS, and MEDIUM_ARGUMENTS by name."""
+    """The macros of all parameter lists in OpenCL C; and MEDIUM_ARGUMENTS, the names in MEDIUM_PARAMETERS."""
     lines = [macro(name, declarations) for name, declarations in (KERNELS | {"medium": MEDIUM}).items()]
     lines.append(f"#define MEDIUM_ARGUMENTS {', '.join(Parameter(declaration).name for declaration in MEDIUM)}")
     return "\n".join(lines)
@@ -421,8 +421,8 @@ class Kernel:
     Parameters
     ----------
     opencl : pyopencl's kernel
-    name : of it, for messages
-    declarations : of its parameters, one of KERNELS
+    name : name of the kernel, for messages
+    declarations : declarations of its parameters, a value of KERNELS
     """
 
     def __init__(self, opencl: Any, name: str, declarations: Sequence[str]) -> None:
@@ -446,13 +446,13 @@ class Kernel:
         return self._opencl(queue, size, group, *self.arguments(*values, **named), global_offset=global_offset)
 
     def taken(self) -> Any:
-        """A copy of pyopencl's kernel, which has arguments of its own until it is given back."""
+        """A copy of pyopencl's kernel, whose arguments nobody else sets until it is given back."""
         import pyopencl
 
         return self._spare.pop() if self._spare else pyopencl.Kernel(self._opencl.program, self.function_name)
 
     def give_back(self, copy: Any) -> None:
-        """Keeps a copy for who takes the next one: to make one takes as long as many launches."""
+        """Keeps a copy for the next `taken`: making a new one takes as long as many launches."""
         self._spare.append(copy)
 
     def arguments(self, *values: Any, **named: Any) -> list[Any]:
@@ -460,12 +460,12 @@ class Kernel:
 
         Parameters
         ----------
-        values : of the first parameters, in their order
-        named : of the others, by name
+        values : values of the first parameters, in their order
+        named : values of the other parameters, by name
 
         Raises
         ------
-        TypeError : one is missing, there are too many, a name is none of the kernel's or given twice, a wrong type
+        TypeError : an argument is missing, unknown, given twice or of a wrong type, or there are too many
         OverflowError : an integer is too large
         """
         if len(values) > len(self._parameters):

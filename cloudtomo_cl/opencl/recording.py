@@ -1,8 +1,8 @@
-"""Launches that are made again and again with the same arguments: a driver is told those once.
+"""Launches that are repeated with the same arguments: the driver gets the arguments only once.
 
-To convert the arguments of a kernel and to hand them to the driver takes the host several times as long as to launch
-it (docs/decisions/inner-minimisation.md). What an iteration launches on the same arrays is recorded in the first one,
-and made again in the others; with it what several ranks tell each other in between.
+Converting a kernel's arguments and handing them to the driver takes the host several times as long as launching it
+(docs/decisions/inner-minimisation.md). So the launches of the first iteration are recorded, and repeated in the
+others, which work on the same arrays; and with them the exchanges between ranks.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ class Recorded:
 
     Parameters
     ----------
-    kernel : of which it takes a copy until it is closed
-    work : numbers of work items, in all and of a group, and of the first, or None
-    values : the arguments as pyopencl takes them; they are kept, for drivers do not
+    kernel : kernel, of which this object holds a copy until it is closed
+    work : number of work items in all, number in a work-group, and offset of the first work item or None
+    values : arguments as pyopencl takes them; they are kept alive here, for drivers do not do that
     """
 
     def __init__(self, kernel: Kernel, work: Work, values: list[Any]) -> None:
@@ -45,11 +45,11 @@ class Recorded:
 
 
 class Recording:
-    """What one thread has launched, and done in between, to be done again."""
+    """Launches of one thread, and its steps between them, to be repeated."""
 
     def __init__(self) -> None:
         self._launches: list[Recorded] = []
-        # Launches and other steps, in their order; each is given the queue.
+        # Launches and other steps, in their order; each is a function of the queue.
         self._steps: list[Callable[[Any], Any]] = []
 
     def __len__(self) -> int:
@@ -63,11 +63,11 @@ class Recording:
         return launch(queue)
 
     def step(self, work: Callable[[], None]) -> None:
-        """Keeps what is done between two launches."""
+        """Keeps work that is done between two launches."""
         self._steps.append(lambda _: work())
 
     def again(self, queue: Any) -> None:
-        """Queues all launches again, and does what is done in between, in their order."""
+        """Repeats all launches and the steps between them, in their order."""
         for step in self._steps:
             step(queue)
 
@@ -79,11 +79,11 @@ class Recording:
 
 
 class Recorder(threading.local):
-    """What a device's threads record, each its own.
+    """The recording that is going on in each thread of a device.
 
     Attributes
     ----------
-    recording : that takes down what is launched; none: nothing is recorded
+    recording : recording of this thread's launches; None: nothing is recorded
     """
 
     recording: Recording | None = None
@@ -107,7 +107,7 @@ class Recorder(threading.local):
             try:
                 function()
             except BaseException:
-                recording.close()  # a part of it must not pass for the whole the next time
+                recording.close()  # the next call must not take a part of it for the whole
                 raise
             finally:
                 self.recording = None

@@ -14,22 +14,21 @@ _Result = TypeVar("_Result")
 
 
 def on_devices(names: Sequence[str | int], work: Callable[[Device], _Result]) -> _Result:
-    """Lets several devices share what is computed, with the same bits as of one.
+    """Lets several devices share a computation; the result has the same bits as from one device.
 
     Parameters
     ----------
-    names : of the devices, each as `choose_device` takes it
-    work : called with each device in a thread of its own, for instance
-        `lambda device: reconstruct(scene, measurements, device=device)`: what is done with them must be the same, in
-        the same order
+    names : names or indices of the devices, each as `choose_device` takes it
+    work : function that is called with each device, in one thread for each, for instance
+        `lambda device: reconstruct(scene, measurements, device=device)`: it must do the same things in the same order
 
     Returns
     -------
-    what it returns with the first device
+    what `work` returns with the first device
 
     Raises
     ------
-    DeviceError : no name, or no such device; the rest as `work`
+    DeviceError : no name is given, or there is no such device; other errors as `work` raises them
     """
     if not names:
         raise DeviceError("no device is named: give at least one (`cloudtomo devices` lists them)")

@@ -1,16 +1,16 @@
-"""The parameters of kernels that minimise: of minimise.cl and patches.cl; see parameters.py."""
+"""The parameters of the kernels for minimisation, minimise.cl and patches.cl; see parameters.py."""
 
 from __future__ import annotations
 
 _POINT = (
     "const uint count",
     "const __global float *x",
-    "const __global float *upper",  # bound of x
+    "const __global float *upper",  # upper bound of x
     "const __global float *gradient",
 )
 _HALO = (
-    "const int3 shape",  # of the grid
-    "const int3 halo",  # and with what is around it
+    "const int3 shape",  # voxels of the grid
+    "const int3 halo",  # voxels of the grid with its margins: patches.cl
 )
 VECTOR_KERNELS: dict[str, tuple[str, ...]] = {
     "next_change": (
@@ -23,14 +23,14 @@ VECTOR_KERNELS: dict[str, tuple[str, ...]] = {
     "sums_of_change": (
         *_POINT,
         "const __global float *change",
-        "const __global float *hessian_change",  # the second derivative times the change
+        "const __global float *hessian_change",  # the Hessian's product with the change
         "__global float *sums",  # [3][part]
     ),
     "choose_step": (
         "const __global float *sums",  # [3][part]
-        "const float longest",  # changes, that a step may take
+        "const float longest",  # largest step, in units of the change
         "const int most_steps",
-        "const float tolerance",  # share of all that was gained
+        "const float tolerance",  # least gain of a step, as a share of all gains
         "__global Minimisation *state",
     ),
     "take_step": (
@@ -53,7 +53,7 @@ VECTOR_KERNELS: dict[str, tuple[str, ...]] = {
     "spread_values": (
         "const uint count",
         "const float factor",
-        "const __global uint *place",  # of every number, among the values
+        "const __global uint *place",  # [element of x]: its index in values
         "const __global float *x",
         "__global float *values",
     ),
@@ -80,8 +80,8 @@ VECTOR_KERNELS: dict[str, tuple[str, ...]] = {
     "sum_basis": (
         "const uint part_count",
         "const uint basis_count",
-        "const __global uint *part_start",  # of the pixels' list
-        "const __global uint *pixels",
+        "const __global uint *part_start",  # [part]: its first place in pixels
+        "const __global uint *pixels",  # pixels ordered by view
         "const __global float *weighted_basis",  # [pixel][basis]
         "const __global float *residual",
         "__global float *sums",
@@ -89,7 +89,7 @@ VECTOR_KERNELS: dict[str, tuple[str, ...]] = {
     "fit_views": (
         "const uint view_count",
         "const uint basis_count",
-        "const __global uint *first_part",  # of every view
+        "const __global uint *first_part",  # [view]
         "const __global float *sums",
         "const __global float *matrix",  # [view][basis][view][basis]
         "__global float *fitted",
@@ -113,12 +113,12 @@ VECTOR_KERNELS: dict[str, tuple[str, ...]] = {
         "const __global float *whitening",  # [component][axis][value], padded to full lanes
         "const __global float *white_means",  # [component][axis]
         "const __global float *constants",  # [component]
-        "__global ushort *component",  # a guess, and the result, by the patch's centre, [x][y][z]
-        "__global float *cost",  # of every patch
+        "__global ushort *component",  # [x][y][z] of the patch's centre: first a guess, then the result
+        "__global float *cost",  # [patch]
     ),
     "find_tiles": (
         "const uint tile_count",
-        "const __global ushort4 *corner",  # of every tile, its first voxel
+        "const __global ushort4 *corner",  # [tile]: its first voxel
         "const int3 shape",
         "const __global ushort *component",
         "__global uchar *reached",
@@ -134,19 +134,19 @@ VECTOR_KERNELS: dict[str, tuple[str, ...]] = {
     ),
     "sum_patches": (
         "const uint voxel_count",
-        "const __global ushort4 *voxel",  # w: whether it is another rank's
+        "const __global ushort4 *voxel",  # (x, y, z), and whether it is another rank's (w)
         "const int3 shape",
         "const __global ushort *component",
-        "const __global float *slope",  # precision times mean, [component][value]
-        "const __global float *diagonal_of",  # the precision's, [component][value]
-        "__global float *of_means",
-        "__global float *clear",
-        "__global float *diagonal",
+        "const __global float *slope",  # [component][value]: precision times mean
+        "const __global float *diagonal_of",  # [component][value]: diagonal of the precision
+        "__global float *of_means",  # [voxel]: precision times mean, summed over patches
+        "__global float *clear",  # [voxel]: diagonal by patches without cloud
+        "__global float *diagonal",  # [voxel]: diagonal by all patches
     ),
     "add_stencil_product": (
         "const uint tile_count",
         "const __global ushort4 *corner",
-        "const __global int *number",  # of every tile's voxels, among those of the mask, or -1
+        "const __global int *number",  # [tile][lane]: number of the voxel in the mask, or -1
         "const int3 halo",
         "const __global float *stencil",
         "const __global float *values",
@@ -155,10 +155,10 @@ VECTOR_KERNELS: dict[str, tuple[str, ...]] = {
     ),
     "add_diagonal_product": (
         "const uint voxel_count",
-        "const __global uint *place",  # of every voxel of the mask, in the halo
+        "const __global uint *place",  # [voxel of the mask]: its index in the halo
         "const __global float *clear",
         "const __global float *of_means",
-        "const float means",
+        "const float means",  # factor of of_means: 1 for a gradient, 0 for a product
         "const __global float *values",
         "const float factor",
         "__global float *result",

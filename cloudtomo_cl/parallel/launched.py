@@ -10,18 +10,18 @@ from cloudtomo_cl.errors import MissingPackageError, SettingsError
 if TYPE_CHECKING:
     from cloudtomo_cl.parallel.ranks import Ranks
 
-# What launchers of MPI say to the processes that they start: how many these are, and which one this is.
+# Environment variables in which MPI's launchers tell each process how many there are, and which one it is.
 _SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
 _NUMBERS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID")
 
 
 def launched_size() -> int:
-    """How many processes a launcher of MPI has started beside this one, with it; 1 without a launcher."""
+    """Number of processes that MPI's launcher has started, this one included; 1 without a launcher."""
     return max((int(os.environ[name]) for name in _SIZES if os.environ.get(name, "").isdigit()), default=1)
 
 
 def launched_rank() -> int:
-    """Which of them this process is, as the launcher says; 0 without one. MPI is not asked, nor imported."""
+    """Number of this process among them, from the launcher; 0 without one. MPI is neither asked nor imported."""
     numbers = [int(os.environ[name]) for name in _NUMBERS if os.environ.get(name, "").isdigit()]
     return numbers[0] if numbers and launched_size() > 1 else 0
 

@@ -14,11 +14,11 @@ from mpi4py import MPI
 
 from cloudtomo_cl.parallel.ranks import Ranks
 
-# Numbers that one call adds up: libraries count with 32 bits.
+# Most numbers that one call of MPI adds up: libraries count them with 32 bits.
 _AT_ONCE = 1 << 28
 _POLL_SECONDS = 0.01
-# By their bytes.
-_OWN_TYPES = {1: MPI.UINT8_T, 2: MPI.UINT16_T, 4: MPI.UINT32_T, 8: MPI.UINT64_T}
+# MPI's predefined types for rows of 1, 2, 4 or 8 bytes.
+_PLAIN_TYPES = {1: MPI.UINT8_T, 2: MPI.UINT16_T, 4: MPI.UINT32_T, 8: MPI.UINT64_T}
 
 
 def world() -> tuple[Any, str]:
@@ -84,7 +84,7 @@ class MPIRanks(Ranks):
         return np.split(result, np.cumsum(found)[:-1])
 
     def ended(self, status: int, grace: float) -> None:
-        # Not by a plain barrier: one that waits in it takes a whole core, which the first rank may need for a report.
+        # No blocking barrier: a rank that waits in one keeps a core busy, which the first rank may need for a report.
         waiting, since = self._communicator.Ibarrier(), time.monotonic()
         while not waiting.Test():
             if status and time.monotonic() - since > grace:
@@ -96,12 +96,12 @@ class MPIRanks(Ranks):
 
 @cache
 def _row_type(size: int) -> Any:
-    """MPI's type of an array's row of so many bytes.
+    """MPI's type for a row of `size` bytes of an array.
 
-    Numbers of rows are smaller than numbers of bytes, which may need 64 bits. MPI's own types are copied twice as fast
-    as those made of them.
+    Rows are counted instead of bytes, whose number may need 64 bits. MPI's predefined types are copied twice as fast as
+    types made of them.
     """
-    return _OWN_TYPES.get(size) or MPI.BYTE.Create_contiguous(size).Commit()
+    return _PLAIN_TYPES.get(size) or MPI.BYTE.Create_contiguous(size).Commit()
 
 
 def _row_bytes(rows: np.ndarray) -> int:
@@ -113,7 +113,7 @@ def _bytes(rows: np.ndarray) -> np.ndarray:
 
 
 def _places(counts: Sequence[int]) -> tuple[list[int], list[int]]:
-    """Counts, and where each part begins."""
+    """The number of rows of each part, and its first row."""
     return list(counts), [0, *np.cumsum(counts)[:-1].tolist()]
 
 

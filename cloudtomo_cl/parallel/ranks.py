@@ -1,7 +1,7 @@
-"""The ranks that share a computation, and what they tell each other; one rank alone tells nobody anything.
+"""The ranks that share a computation, and their messages; a single rank sends none.
 
-What is computed has the same bits with any number of ranks (docs/decisions/ranks.md): floating-point sums are each
-made whole by one rank, sums that several ranks add to are integers, and what is small is computed by all alike.
+Results have the same bits with any number of ranks (docs/decisions/ranks.md): each floating-point sum is made whole by
+one rank, sums over several ranks are sums of integers, and small computations are done by every rank.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from cloudtomo_cl import errors
 from cloudtomo_cl.errors import CloudtomoError, DeviceError, Interrupted, TransportError
 
 _Result = TypeVar("_Result")
-# Integers are added in halves of so many bits where their sum might leave 64.
+# Bits of each half of an integer; integers are added by halves where their sum might not fit 64 bits.
 _HALF = 32
 
 
 class Ranks:
-    """One rank alone; the others (`mpi.MPIRanks`, `threads.ThreadRanks`) are made of it.
+    """A single rank, and the base class of several ranks (`mpi.MPIRanks`, `threads.ThreadRanks`).
 
-    All ranks call the same methods in the same order: each of these calls is one that all wait for.
+    All ranks must call the same methods in the same order: in every such call each rank waits for all others.
 
     Attributes
     ----------
-    rank, size : this one, counted from 0, of how many
-    place, on_node : this one among those of its machine, and how many these are
-    sent : bytes of arrays that this rank has handed to others, as if each were told once
+    rank, size : number of this rank, counted from 0, and number of all ranks
+    place, on_node : number of this rank among those of its machine, from 0, and how many the machine has
+    sent : bytes of arrays that this rank has sent, each array counted once however many ranks receive it
     """
 
     rank, size = 0, 1
@@ -47,19 +47,19 @@ class Ranks:
 
     @property
     def name(self) -> str:
-        """For messages."""
+        """The rank's name in messages."""
         return f"rank {self.rank} of {self.size}"
 
     @property
     def cores(self) -> int:
-        """Of this machine's, those that are this rank's to use."""
+        """Number of the machine's cores that this rank may use."""
         try:
             return len(os.sched_getaffinity(0))
         except AttributeError:  # macOS, Windows
             return os.cpu_count() or 1
 
     def all(self, value: Any) -> list[Any]:
-        """The values of all ranks, in their order; small ones, of any type."""
+        """The values that the ranks give, in the ranks' order; for small values of any type."""
         return [value]
 
     def first(self, value: Any) -> Any:
@@ -67,13 +67,13 @@ class Ranks:
         return value
 
     def any(self, flag: bool) -> bool:
-        """Whether it is true on some rank."""
+        """Whether `flag` is true on any rank."""
         return bool(flag)
 
     def sum(self, values: np.ndarray) -> np.ndarray:
-        """Sums over ranks of integers of 64 bits, exact; the least one where a sum does not fit.
+        """Exact sums over ranks of 64-bit integers; the least 64-bit integer where a sum does not fit.
 
-        The array is given away: the sums may take its place, for both may be large.
+        The caller must not use the array `values` again: it may be large, so the sums may overwrite it.
         """
         if self.size == 1:
             return values
@@ -89,33 +89,33 @@ class Ranks:
         raise NotImplementedError
 
     def joined(self, rows: np.ndarray, counts: Sequence[int]) -> np.ndarray:
-        """The rows of all ranks one after the other; `counts` says how many each has."""
+        """The rows of all ranks, one rank after the other; `counts` says how many rows each rank has."""
         return rows
 
     def exchange(self, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Hands a part to every rank; returns what each has handed to this one. Arrays of rows, alike but in number."""
+        """Sends a part to every rank; returns the parts for this rank. Arrays of rows that differ in length alone."""
         return list(parts)
 
     def dealt(self, blocks: np.ndarray) -> Shares:
-        """Deals things out.
+        """Divides things among the ranks, by blocks that stay together; a single rank gets all.
 
-        blocks : the block of each, counted from 0, shape (things,), which stays together; one rank gets all, whatever
-            they say
+        blocks : number of each thing's block, counted from 0, shape (things,)
         """
         if self.size == 1:
             return Shares(self, len(blocks))
-        # In turn, for what costs much lies together; turned from round to round, for images have rows.
+        # Ranks take blocks in turn, since costly ones lie together. Each round begins one rank later: otherwise a rank
+        # could always get the same columns of an image.
         numbers = np.asarray(blocks, np.int64)
         return Shares(self, len(blocks), ((numbers + numbers // self.size) % self.size).astype(np.uint16))
 
     def part(self, count: int) -> range:
-        """This rank's part of so many things in a row."""
+        """This rank's part of `count` things in a row."""
         return range(count * self.rank // self.size, count * (self.rank + 1) // self.size)
 
     def together(self, work: Callable[[], _Result]) -> _Result:
-        """What `work` returns, or the error of a rank whose work has failed: then every rank raises one.
+        """The result of `work`; if it fails on some rank, every rank raises an error.
 
-        In between, `work` must not wait for other ranks.
+        `work` must not wait for other ranks.
         """
         if self.size == 1:
             return work()
@@ -135,11 +135,11 @@ class Ranks:
         raise failure
 
     def in_turn(self, work: Callable[[], _Result]) -> _Result:
-        """As `together`; threads of one process do it one after the other, for libraries that know no threads."""
+        """As `together`, but ranks that are threads take turns: for libraries that do not allow threads."""
         return self.together(work)
 
     def require_same(self, array: np.ndarray, what: str) -> None:
-        """TransportError if an array that all ranks compute alike differs between them."""
+        """Raises TransportError if an array that every rank has computed differs between ranks."""
         if self.size == 1:
             return
         digests = self.all(zlib.crc32(np.ascontiguousarray(array).tobytes()))
@@ -151,22 +151,22 @@ class Ranks:
             )
 
     def ended(self, status: int, grace: float) -> None:
-        """Waits for the others before the process ends.
+        """Waits for the other ranks before the process ends.
 
-        One that failed, so that its exit status is not 0, ends those that are at work still after so many seconds of
-        `grace`: they wait for it.
+        A rank that has failed (its exit status is not 0) stops those that are still at work after `grace` seconds:
+        they wait for it.
         """
 
 
 @dataclass(frozen=True, eq=False)
 class Shares:
-    """Which rank has which of some things.
+    """Which rank owns which of a number of things.
 
     Attributes
     ----------
-    ranks : among whom they are dealt out
-    count : of all things
-    owner : of each, shape (count,); none where one rank has all
+    ranks : ranks that own them
+    count : number of things
+    owner : rank that owns each thing, shape (count,); None: one rank owns all
     """
 
     ranks: Ranks = field(repr=False)
@@ -175,7 +175,7 @@ class Shares:
 
     @cached_property
     def own(self) -> np.ndarray:
-        """Those of this rank, in their order."""
+        """Numbers of the things that this rank owns, in their order."""
         return np.arange(self.count) if self.owner is None else np.flatnonzero(self.owner == self.ranks.rank)
 
     def __len__(self) -> int:
@@ -186,7 +186,7 @@ class Shares:
         return values if self.owner is None else values[self.own]
 
     def gathered(self, rows: np.ndarray) -> np.ndarray:
-        """From every rank's rows the array (count, ...), the same on all ranks."""
+        """The array (count, ...) from the rows of all ranks; the same on every rank."""
         if self.owner is None:
             return rows
         result = np.empty((self.count, *rows.shape[1:]), rows.dtype)
@@ -196,7 +196,7 @@ class Shares:
 
     @cached_property
     def _order(self) -> tuple[np.ndarray, list[int]]:
-        """All things, rank by rank, and how many each rank has."""
+        """The numbers of all things, rank by rank, and how many each rank owns."""
         assert self.owner is not None
         return np.argsort(self.owner, kind="stable"), np.bincount(self.owner, minlength=self.ranks.size).tolist()
 
@@ -205,7 +205,7 @@ ALONE = Ranks()
 
 
 def _told(error: Exception) -> tuple[str, str, int]:
-    """An error as other ranks get it."""
+    """An error as it is sent to other ranks: kind, text and exit status."""
     kind = type(error).__name__ if isinstance(error, CloudtomoError) else DeviceError.__name__
     text = str(error) if isinstance(error, CloudtomoError) else f"{type(error).__name__}: {error}"
     return kind, text, getattr(error, "status", 0)

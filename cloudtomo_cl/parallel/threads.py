@@ -1,4 +1,4 @@
-"""Ranks that are threads of one process, each with a device of its own."""
+"""Ranks that are threads of one process, one for each device."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _Result = TypeVar("_Result")
 
 
 class _Meeting:
-    """Where threads wait for each other, and see what each has brought."""
+    """A place where threads wait for each other and see the values that each has brought."""
 
     def __init__(self, size: int) -> None:
         self.barrier = threading.Barrier(size)
@@ -31,7 +31,7 @@ class ThreadRanks(Ranks):
         self.place = rank
 
     def _met(self, value: Any, combine: Callable[[list[Any]], _Result]) -> _Result:
-        """What `combine` makes of all ranks' values, while none goes on and changes its own."""
+        """What `combine` makes of all ranks' values; no rank goes on, and changes its value, before it has ended."""
         meeting = self._meeting
         meeting.brought[self.rank] = value
         meeting.barrier.wait()
@@ -77,10 +77,10 @@ def _one_after_the_other(rows: list[np.ndarray]) -> np.ndarray:
 
 
 def shared_by_threads(size: int, work: Callable[[Ranks], _Result]) -> _Result:
-    """Calls `work` in so many threads, with the rank of each; returns what it returns in the first.
+    """Calls `work` in `size` threads, each with its rank; returns the result of the first thread.
 
-    Raises what the first thread has raised, or else another one. Ctrl-C, which Python raises in the thread that waits
-    here, ends them at their next exchange, and is raised when they have ended.
+    If threads raise errors, the first one in the order of ranks is raised. Python raises Ctrl-C here, in the thread
+    that waits: the others end at their next exchange, and then it is raised.
     """
     from threadpoolctl import threadpool_limits
 
@@ -94,10 +94,10 @@ def shared_by_threads(size: int, work: Callable[[Ranks], _Result]) -> _Result:
         except BaseException as error:
             failures[rank] = error
             if not getattr(error, "told_by_all", False):
-                meeting.barrier.abort()  # nobody waits for it any more
+                meeting.barrier.abort()  # others must not wait for this thread
 
     threads = [threading.Thread(target=run, args=(rank,), name=f"rank {rank}") for rank in range(size)]
-    # BLAS's number of threads is the whole process's: who sets it back in the meantime would change others' bits.
+    # BLAS has one number of threads for the whole process: a thread that resets it would change others' results.
     with threadpool_limits(limits=1, user_api="blas"):
         try:
             for thread in threads:
@@ -107,12 +107,12 @@ def shared_by_threads(size: int, work: Callable[[Ranks], _Result]) -> _Result:
         except BaseException:
             meeting.barrier.abort()
             for thread in threads:
-                if thread.ident is not None:  # it was begun
+                if thread.ident is not None:  # it was started
                     thread.join()
             raise
     raised = [error for error in failures if error is not None]
     for error in raised:
-        # Others have found the barrier broken because of one.
+        # Threads that found the barrier broken did so because of another thread's error.
         if not isinstance(error, threading.BrokenBarrierError):
             raise error
     if raised:

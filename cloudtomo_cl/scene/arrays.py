@@ -1,4 +1,4 @@
-"""Arrays as people give them: what is masked is missing, and named dimensions come in their order."""
+"""Arrays as users give them: masked values become NaN, and named dimensions are put into this package's order."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-# Of arrays whose dimensions have names: files of this package, as CF recommends, have z first.
+# Orders of named dimensions in this package's arrays. (Its files, as CF recommends, have z first.)
 _ORDERS = (("x", "y", "z"), ("row", "column"), ("view", "row", "column"))
 
 
 def filled(values: Any) -> np.ndarray:
-    """An array with NaN where a masked array is masked, and an xarray.DataArray in our order; any other as it is."""
+    """An array with NaN for masked values, and the dimensions of an xarray.DataArray in this package's order."""
     dims = getattr(values, "dims", None)
     if isinstance(dims, tuple):
         order = next((order for order in _ORDERS if sorted(order) == sorted(map(str, dims))), dims)

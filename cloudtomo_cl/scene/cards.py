@@ -1,4 +1,4 @@
-"""What notebooks show of an object (`_repr_html_`): a title, facts, and small pictures, without a plotting library."""
+"""Cards that notebooks show of an object (`_repr_html_`): title, facts, small pictures; no plotting library."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-# Pixels that pictures are enlarged to, or made smaller from; and how many are shown.
+# Size to which pictures are scaled on the page, largest number of pixels along an axis, number of pictures shown.
 _SIDE, _LARGEST, MOST_PICTURES = 112, 256, 6
-# Of the pixels, so many may be brighter than white.
+# Share of the pixels that are not brighter than white.
 _CUT = 0.999
 
 
 def card(title: str, facts: Mapping[str, str], pictures: Sequence[tuple[str, np.ndarray]] = ()) -> str:
-    """HTML of a title, a table of facts, and pictures with what they are called.
+    """HTML of a title, a table of facts, and pictures with their names.
 
-    pictures : of any numbers, row 0 at the top, all on one grey scale from 0; NaN is clear
+    pictures : name and array of each picture, row 0 at the top, all on one grey scale from 0; NaN is transparent
     """
     rows = "".join(
         f'<tr><td style="text-align:left;opacity:.7">{html.escape(name)}</td>'
@@ -57,7 +57,7 @@ def _figure(name: str, image: np.ndarray, white: float) -> str:
 
 
 def png(image: np.ndarray, white: float) -> bytes:
-    """A PNG file of grey values from 0 (black) to `white`, with an alpha channel: NaN is clear.
+    """A PNG file of grey values from 0 (black) to `white`, with an alpha channel: NaN is transparent.
 
     Source: PNG (Portable Network Graphics) Specification, 2nd edition, W3C 2003, clauses 5, 9 and 11.
     """

@@ -1,4 +1,4 @@
-"""Optics of droplets by their size: tables of Mie's theory, and extinction from liquid water.
+"""Optics of droplets by their size: tables from Mie theory, and extinction from liquid water.
 
 Radii are in micrometres, wavelengths in nm, liquid water in g m^-3, extinction in km^-1.
 """
@@ -13,7 +13,7 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.scene.arrays import filled
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
 
-# g m^-3.
+# Density of liquid water, g m^-3.
 WATER_DENSITY = 1e6
 _METRES_PER_KILOMETRE = 1e3
 _MICROMETRES_PER_METRE = 1e6
@@ -27,11 +27,11 @@ class DropletTable:
 
     Attributes
     ----------
-    phase_function : with its effective radii (k of them) and single-scattering albedos
-    extinction_efficiency : extinction over geometric cross-section, both summed over the sizes, k values
-    wavelength_nm : in air
-    effective_variance : of the size distribution
-    refractive_index_real, refractive_index_imag : of the droplets; the second is positive, and absorbs
+    phase_function : phase functions of k effective radii, with their single-scattering albedos
+    extinction_efficiency : extinction over geometric cross-section, both summed over the size distribution, k values
+    wavelength_nm : wavelength in air, nm
+    effective_variance : effective variance of the size distribution, without unit
+    refractive_index_real, refractive_index_imag : refractive index of water; a positive imaginary part absorbs
     """
 
     phase_function: TabulatedPhaseFunction
@@ -72,15 +72,16 @@ def extinction_from_water(
 
     Parameters
     ----------
-    liquid_water_content : g m^-3, any shape
-    effective_radius : micrometres, of that shape or a number; where there is no water it does not matter
-    table : the extinction efficiency is interpolated in it, linear in the radius; without a table
+    liquid_water_content : mass of liquid water per volume of air, g m^-3, any shape
+    effective_radius : effective radius of the droplets, micrometres, same shape or one number; without water its value
+        does not matter
+    table : table of the extinction efficiency, which is interpolated linearly in the radius. Without a table
         it is 2, the limit of large droplets: 3 LWC / (2 rho r_e) (Stephens 1978, Eq. 7), which is
         6 to 10 % too little for droplets of 5 to 10 micrometres in visible light
 
     Returns
     -------
-    extinction : km^-1, of that shape, float64
+    extinction : extinction, km^-1, same shape, float64
 
     Raises
     ------
@@ -111,15 +112,16 @@ def extinction_at(
 
     Parameters
     ----------
-    extinction : km^-1, any shape
-    effective_radius : micrometres, of that shape or a number; where there is no cloud it does not matter
-    table : at the wavelength that is asked for
-    reference : at the wavelength of `extinction`; without one it is in the limit of large droplets, as what
-        `extinction_from_water` makes without a table
+    extinction : given extinction, km^-1, any shape
+    effective_radius : effective radius of the droplets, micrometres, same shape or one number; without cloud its value
+        does not matter
+    table : table for the wanted wavelength
+    reference : table for the wavelength of `extinction`; by default `extinction` is that of the limit of large
+        droplets, which `extinction_from_water` gives without a table
 
     Returns
     -------
-    extinction : km^-1, of that shape, float64
+    extinction : extinction at the wanted wavelength, km^-1, same shape, float64
 
     Raises
     ------

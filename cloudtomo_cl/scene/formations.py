@@ -27,7 +27,7 @@ MISR_ANGLES = (70.5, 60.0, 45.6, 26.1, 0.0, -26.1, -45.6, -60.0, -70.5)
 
 
 def _check_height(height: float, target: Triple) -> None:
-    """ValueError if sensors at a height, km, do not look down on a target, or stand below the ground."""
+    """Raises ValueError if sensors at a height, km, do not look down on a target, or stand below the ground."""
     if not height > target[2]:
         raise ValueError(f"height is {height} km: it must be above the target's {target[2]} km")
     if height < 0:
@@ -41,13 +41,13 @@ class RingOfViews:
 
     Attributes
     ----------
-    target : km, what all look at
-    height : of the cameras, km above the ground
-    radius : of the ring, km, around the vertical through the target
-    field_of_view : degrees, across an image's width
+    target : point that all cameras look at, km
+    height : height of the cameras above the ground, km
+    radius : radius of the ring around the vertical through the target, km
+    field_of_view : angle across an image's width, degrees
     pixels : (width, height) of each image
-    count : cameras on the ring
-    azimuth : of the first one, degrees from +x towards +y; the others follow in this sense
+    count : number of cameras on the ring
+    azimuth : azimuth of the first camera on the ring, degrees from +x towards +y; the others follow in this sense
     nadir : whether a camera above the target comes first; its image has north up
     """
 
@@ -86,12 +86,12 @@ class StringOfViews:
 
     Attributes
     ----------
-    width : of each image, km, measured across the rays
+    width : width of each image, km, measured across the rays
     pixels : (width, height) of each image
-    along_track_angles : degrees from nadir in which the sensor looks, positive ahead: it then still
+    along_track_angles : view angles, degrees from nadir, positive where the sensor looks ahead and still
         stands behind the target. By default MISR's nine.
-    azimuth : of the flight direction, degrees from +x (east) towards +y (north)
-    target : km; by default the domain's centre
+    azimuth : flight direction, degrees from +x (east) towards +y (north)
+    target : point in the middle of every image, km; by default the domain's centre
     """
 
     width: Length
@@ -123,18 +123,18 @@ class StringOfViews:
 class StringOfScans:
     """Push-broom images of one place from several angles along one flight track.
 
-    Each angle scans a stretch of the track that is moved back by what it looks ahead, so that
-    the lines of all images cover the same ground at the target's height.
+    Each stretch is moved along the track, against the direction in which its scan looks, so that all
+    images cover the same ground at the target's height.
 
     Attributes
     ----------
-    target : km, what the middle of every image looks at
-    height : of the track, km above the ground
-    length : of each scanned stretch, km
-    field_of_view : degrees, across the track
-    pixels : (across, along) the track
-    along_track_angles : degrees from nadir, positive ahead; by default MISR's nine
-    azimuth : of the flight direction, degrees from +x (east) towards +y (north)
+    target : point in the middle of every image, km
+    height : height of the track above the ground, km
+    length : length of each scanned stretch of the track, km
+    field_of_view : angle across the track, degrees
+    pixels : numbers of pixels (across, along) the track
+    along_track_angles : view angles, degrees from nadir, positive ahead; by default MISR's nine
+    azimuth : flight direction, degrees from +x (east) towards +y (north)
     """
 
     target: Triple
@@ -180,14 +180,14 @@ def fisheye_rays(position: Triple, pixels: int, field_of_view: float = 180.0) ->
 
     Parameters
     ----------
-    position : km
-    pixels : of the circle's diameter
-    field_of_view : degrees, from one side of the circle to the other; 180 reaches the horizon
+    position : position of the camera, km
+    pixels : number of pixels along the circle's diameter
+    field_of_view : angle from one side of the circle to the other, degrees; 180 reaches the horizon
 
     Returns
     -------
     view : the rays of the pixels inside the circle, row after row, as one row of pixels
-    circle : bool, (pixels, pixels): where they lie. `image[circle] = radiance` makes the image.
+    circle : pixels inside the circle, bool, shape (pixels, pixels). `image[circle] = radiance` makes the image.
 
     Raises
     ------

@@ -29,8 +29,8 @@ class Grid:
     Attributes
     ----------
     shape : numbers of voxels along x (east), y (north), z (up)
-    spacing : voxel edges in km
-    origin : the domain's lower corner in km; the ground is z = 0
+    spacing : edges of a voxel along x, y, z, km
+    origin : lower corner of the domain, km; the ground is z = 0
     """
 
     shape: tuple[Count, Count, Count]
@@ -39,7 +39,7 @@ class Grid:
 
     @property
     def text(self) -> str:
-        """Voxels and their size, for people."""
+        """Numbers of voxels and their size, as text."""
         return f"{_times(self.shape)} voxels of {_times(self.spacing)} km"
 
     @property
@@ -54,12 +54,12 @@ class Grid:
 
     @property
     def voxel_volume(self) -> float:
-        """km^3"""
+        """Volume of a voxel, km^3."""
         return float(np.prod(self.spacing))
 
     @property
     def mean_chord(self) -> float:
-        """Of a voxel, km."""
+        """Mean chord of a voxel, km."""
         return mean_chord(self.spacing)
 
     def centres(self, axis: int) -> np.ndarray:
@@ -67,14 +67,14 @@ class Grid:
         return self.origin[axis] + (np.arange(self.shape[axis]) + 0.5) * self.spacing[axis]
 
     def with_shape(self, shape: Sequence[int]) -> Grid:
-        """The same domain in other voxels."""
+        """A grid of the same domain with other numbers of voxels."""
         nx, ny, nz = shape
         width, depth, height = self.extent
         return Grid(shape=(nx, ny, nz), spacing=(width / nx, depth / ny, height / nz), origin=self.origin)
 
 
 def mean_chord(edges: Triple) -> float:
-    """Of a box, in the unit of its edges: 4 volume / surface, as of every convex body (Cauchy 1850)."""
+    """Mean chord of a box, in the unit of its edges: 4 volume / surface, as for every convex body (Cauchy 1850)."""
     x, y, z = edges
     return 4 * x * y * z / (2 * (x * y + y * z + z * x))
 
@@ -94,8 +94,7 @@ def overlap_matrix(count: int, count_new: int) -> np.ndarray:
 def resample(values: np.ndarray, shape: Sequence[int]) -> np.ndarray:
     """Averages over the cells of another grid of the same domain (any dimension).
 
-    The mean over the domain is kept, so that of an extinction the optical mass, and of an
-    image the flux, are conserved.
+    The mean over the domain is kept: so are the optical mass of an extinction and the flux of an image.
     """
     result = np.asarray(values, dtype=np.float64)
     for axis, count_new in enumerate(shape):
@@ -108,9 +107,9 @@ def resample(values: np.ndarray, shape: Sequence[int]) -> np.ndarray:
 def resample_in_mask(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Resamples `values` to the grid of `mask`, with nothing outside of the mask.
 
-    What an old cell holds goes into the part of it that lies inside the mask, so that the
-    optical mass is conserved and cells at the mask's edge are not diluted. Old cells that
-    lie outside of the mask altogether lose what they hold.
+    The content of an old cell goes into the part of the cell inside the mask, so that the optical mass
+    is conserved and cells at the mask's edge are not diluted. The content of old cells completely
+    outside of the mask is lost.
     """
     inside = resample(mask, values.shape)
     concentrated = np.divide(values, inside, out=np.zeros(values.shape), where=inside > 0)
@@ -118,16 +117,16 @@ def resample_in_mask(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def coarsened(mask: np.ndarray, shape: Sequence[int]) -> np.ndarray:
-    """The mask on other voxels of the same domain: those that overlap a kept voxel.
+    """The mask on another grid of the same domain: voxels that overlap a voxel of the mask.
 
     Parameters
     ----------
-    mask : bool
-    shape : of the other grid
+    mask : mask, bool
+    shape : numbers of voxels of the other grid
 
     Returns
     -------
-    bool, of that shape
+    mask on the other grid, bool
     """
     # Edges that coincide up to rounding are no overlap.
     return resample(mask, shape) > 1e-9

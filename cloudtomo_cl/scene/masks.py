@@ -16,11 +16,11 @@ def checked_mask(mask: Any, grid: Grid) -> np.ndarray:
 
     Parameters
     ----------
-    mask : bool, or numbers 0 and 1 as files have them, shape of the grid
+    mask : voxels that may hold cloud, bool, or numbers 0 and 1 as in files, shape of the grid
 
     Raises
     ------
-    DataError : it has another shape or other values, is missing in a voxel, or leaves nothing
+    DataError : the mask has another shape or other values, is missing in a voxel, or has no voxel
     """
     mask = filled(mask)
     if mask.shape != grid.shape:

@@ -18,11 +18,11 @@ from cloudtomo_cl.scene.pointing import motion_errors, moved
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.sensors import RayView, View
 
-# Share of a larger pixel that must not be bad: half, up to rounding.
+# Least share of a larger pixel that must be valid: half, up to rounding.
 _LEAST_VALID = 0.5 - 1e-9
-# Wavelengths that differ by a smaller share are the same.
+# Relative difference below which wavelengths count as the same.
 _SAME_WAVELENGTH = 1e-5
-# Standard errors of views: below what, and what is allowed, in words. Beyond, a camera is not known at all.
+# Standard errors of views: upper bound, beyond which a camera is not known at all, and the allowed range in words.
 _ERRORS_OF_VIEWS = {
     "calibration_errors": (1.0, "at least 0, below 1"),
     "pointing_errors": (10.0, "at least 0, below 10 degrees"),
@@ -31,7 +31,7 @@ _ERRORS_OF_VIEWS = {
 
 
 class _Renders(Protocol):
-    """What makes images of a rendering: a `RadianceOperator`, which lies in a higher room."""
+    """What makes images of a rendering: a `RadianceOperator`, which this layer must not import."""
 
     scene: Scene
     views: tuple[View, ...]
@@ -46,15 +46,16 @@ class Measurements:
 
     Attributes
     ----------
-    views : one per image
-    images : radiance, W m^-2 sr^-1, each of shape (rows, columns) of its view; NaN in invalid pixels
-    standard_errors : of the radiances, same unit and shapes; zero where unknown; of no meaning in invalid pixels
-    calibration_errors : standard errors of the views' gains, which are 1, for instance 0.02; none: all exact.
-        They are no part of `standard_errors`, for they are common to all pixels of a view
+    views : views, one per image
+    images : radiances, W m^-2 sr^-1, each of shape (rows, columns) of its view; NaN in invalid pixels
+    standard_errors : standard errors of the radiances, same unit and shapes; 0 where unknown; without meaning in
+        invalid pixels
+    calibration_errors : standard errors of the views' gains, for instance 0.02 for gains of 1; empty: all exact.
+        They are no part of `standard_errors`, since they are common to all pixels of a view
     pointing_errors : standard errors of the directions that the cameras look in and of the images' rotation, degrees;
-        none: all exact
-    position_errors : standard errors of the cameras' places, or of where orthographic images lie, km; none: all exact
-    wavelength : nm in air, if it is known
+        empty: all exact
+    position_errors : standard errors of the positions of cameras, or of orthographic images, km; empty: all exact
+    wavelength : wavelength in air, nm, if it is known
     """
 
     views: tuple[View, ...]
@@ -69,8 +70,8 @@ class Measurements:
     def rendered(cls, operator: _Renders, rendering: Any) -> Measurements:
         """All pixels of a `Rendering` by a `RadianceOperator` as images.
 
-        The standard errors are pooled over neighbours (`pixel_errors`): as error bars and as weights they hold where
-        the rendering's own, of a pixel's own few paths, do not.
+        The standard errors are pooled over neighbours (`pixel_errors`): as error bars and as weights they hold, and
+        the rendering's, from a single pixel's few paths, do not.
         """
         images, errors = (operator.images(values) for values in (rendering.mean, rendering.standard_error))
         samples = operator.images(np.broadcast_to(np.asarray(rendering.samples, np.float64), rendering.mean.shape))
@@ -79,7 +80,7 @@ class Measurements:
 
     def __post_init__(self) -> None:
         for name in ("images", "standard_errors"):
-            # A masked pixel is a bad one.
+            # A masked pixel is an invalid one.
             object.__setattr__(self, name, tuple(map(filled, getattr(self, name))))
         if not self.views:
             raise DataError("measurements: there is no view: at least one image is needed")
@@ -136,12 +137,12 @@ class Measurements:
 
     @property
     def valid(self) -> tuple[np.ndarray, ...]:
-        """Which pixels are not bad: bool, the images' shapes."""
+        """Which pixels are valid: bool, the images' shapes."""
         return tuple(~np.isnan(image) for image in self.images)
 
     @property
     def invalid_pixels(self) -> int:
-        """How many pixels of all images are bad."""
+        """The number of invalid pixels in all images."""
         return sum(int(np.isnan(image).sum()) for image in self.images)
 
     def motion_errors(self, grid: Grid) -> np.ndarray:
@@ -160,7 +161,7 @@ class Measurements:
         return np.array(errors)
 
     def moved(self, motions: np.ndarray | None, grid: Grid) -> Measurements:
-        """The same images of views after small motions (`scene.pointing`), shape (views, 3); none: as they are."""
+        """The same images, of views after small motions (`scene.pointing`), shape (views, 3); None: no motion."""
         if motions is None or not np.any(motions):
             return self
         return replace(self, views=tuple(moved(view, motion, grid) for view, motion in zip(self.views, motions)))
@@ -168,7 +169,7 @@ class Measurements:
     def resampled(self, pixels: Sequence[tuple[int, int]]) -> Measurements:
         """The same images averaged over larger pixels, (width, height) for each view.
 
-        A larger pixel is the mean of what is not bad in it, and bad if that is less than half of its area.
+        A larger pixel is the mean of the valid pixels in it, and invalid if they cover less than half of its area.
 
         Raises
         ------
@@ -210,7 +211,7 @@ class Measurements:
         )
 
     def differences(self, modelled: Measurements) -> list[np.ndarray]:
-        """Modelled minus measured radiance in standard errors of both together; NaN where unknown, or bad."""
+        """Modelled minus measured radiance over the standard error of the difference; NaN where unknown or invalid."""
         differences = []
         for index, image in enumerate(self.images):
             error = np.hypot(self.standard_errors[index], modelled.standard_errors[index])
@@ -220,7 +221,7 @@ class Measurements:
 
 
 def check_wavelength(scene: Scene, measurements: Measurements) -> None:
-    """DataError if a scene and its images are at different wavelengths, as far as both are known."""
+    """Raises DataError if a scene and its images are known to be at different wavelengths."""
     one, other = scene.wavelength, measurements.wavelength
     if one is not None and other is not None and not np.isclose(one, other, rtol=_SAME_WAVELENGTH, atol=0.0):
         raise DataError(f"the scene is at {one:g} nm, the images are of {other:g} nm: take optics of their wavelength")

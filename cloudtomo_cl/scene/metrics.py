@@ -36,7 +36,7 @@ def epsilon(estimate: Any, truth: Any) -> float:
 
     Parameters
     ----------
-    estimate, truth : extinction, any unit but the same, on the same grid
+    estimate, truth : extinctions in the same unit, on the same grid
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Noise of cameras: photons, reading, digits, calibration."""
+"""Noise of cameras: photon noise, read noise, digitisation, calibration."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cloudtomo_cl.messages import answering
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import NotNegative
 
-# How much more than the brightest pixel fills its well, if nothing is said: an exposure to 80 %.
+# Default ratio of full_radiance to the brightest pixel's radiance: the brightest pixel fills 80 % of its well.
 _HEADROOM = 1.25
 _MOST_ELECTRONS = 1e12
 
@@ -22,21 +22,21 @@ _MOST_ELECTRONS = 1e12
 @answering
 @dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
 class Noise:
-    """What a camera adds to the radiance that its pixels receive.
+    """The noise that a camera adds to the radiance of its pixels.
 
-    A pixel's radiance becomes electrons, in proportion, times its view's gain; their number is a Poisson variate;
-    reading adds normal noise; the sum is rounded to a digital number, and turned back into radiance as if the gain
-    were 1. Pixels with more electrons than the full well are saturated: bad, NaN. Negative numbers stay, as after
-    the subtraction of a camera's offset.
+    The mean number of a pixel's electrons is proportional to its radiance times its view's gain; the number is a
+    Poisson variate; reading adds normal noise. The sum is rounded to a digital number, and converted into radiance as
+    if the gain were 1. Pixels with more electrons than the full well are saturated, and become invalid (NaN). Negative
+    numbers stay, as after the subtraction of a camera's offset.
 
     Attributes
     ----------
-    full_well : electrons of a pixel at `full_radiance`, whose noise is their square root; give this or
+    full_well : number of electrons of a pixel at `full_radiance`; their noise is its square root. Give this or
         `signal_to_noise`
-    signal_to_noise : that of the photon noise at `full_radiance`, the square root of `full_well`
-    full_radiance : W m^-2 sr^-1, at which a pixel is full; by default 1.25 times that of the brightest pixel
-    read_noise : electrons, root mean square
-    bits : of the digital numbers, from 0 to the full well; by default they are not rounded
+    signal_to_noise : ratio of signal to photon noise at `full_radiance`, the square root of `full_well`
+    full_radiance : radiance at which a pixel is full, W m^-2 sr^-1; by default 1.25 times that of the brightest pixel
+    read_noise : root mean square of the read noise, electrons
+    bits : number of bits of the digital numbers, from 0 to the full well; by default nothing is rounded
     calibration_error : standard deviation of the views' gains, which are 1 on average
     """
 
@@ -55,16 +55,16 @@ class Noise:
 
     @property
     def electrons(self) -> float:
-        """The full well."""
+        """Number of electrons of the full well."""
         return self.full_well if self.full_well is not None else (self.signal_to_noise or 1.0) ** 2
 
     def added_to(self, measurements: Measurements, seed: int = 0, stream: int = 0) -> Measurements:
-        """The same images as such a camera measures them.
+        """The images as this camera measures them.
 
-        The standard errors are those of the images as they are, and of the noise at their radiance, together; the
-        calibration error, which all pixels of a view share, goes to `calibration_errors`. Invalid pixels stay bad.
+        The standard errors combine those of the given images and of the noise at their radiance; the calibration
+        error, which all pixels of a view share, goes to `calibration_errors`. Invalid pixels stay invalid.
 
-        seed, stream : of the noise; equal ones give equal noise
+        seed, stream : seed and stream of the random numbers; equal ones give equal noise
 
         Raises
         ------
@@ -82,7 +82,7 @@ class Noise:
             random = np.random.default_rng([seed, index, stream] if stream else [seed, index])
             gain = 1 + self.calibration_error * random.standard_normal()
             light = np.maximum(np.nan_to_num(image), 0.0) / unit
-            # What lies far beyond the well is saturated, however many electrons there were.
+            # Far beyond the full well a pixel is saturated anyway, so the mean can be limited.
             read = random.poisson(np.minimum(max(gain, 0.0) * light, 2 * _MOST_ELECTRONS)).astype(float)
             read += self.read_noise * random.standard_normal(image.shape)
             saturated = read > self.electrons

@@ -1,7 +1,7 @@
 """Phase functions of droplets: densities over the sphere in sr^-1, integral 1.
 
-`cosine` is that of the scattering angle, 1 for light that goes straight on. Each class has the
-asymmetry `g`, the mean of that cosine, and `density(cosine)`.
+`cosine` is the cosine of the scattering angle, 1 for light that goes straight on. Each class has
+the asymmetry `g`, the mean of that cosine, and `density(cosine)`.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from pydantic.dataclasses import dataclass
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.scene.arrays import filled
 
-# A table's integral may be off by this much: rounded values and coarse angles pass, another
+# Largest error of a table's integral: rounded values and coarse angles pass, another
 # normalisation does not.
 NORMALISATION_TOLERANCE = 0.01
-# Integrals closer to 1 than this are rounding: such a table is left as it is, bit by bit.
+# Errors of an integral up to this are rounding: then the table is left as it is, bit by bit.
 _ROUNDING = 1e-12
 
 
@@ -30,7 +30,7 @@ def _tuples(value: Any) -> Any:
 
 
 def _rows(value: Any) -> Any:
-    """A table of one row may come without the brackets around it."""
+    """Rows of a table as nested tuples; a single row may come without the brackets around it."""
     value = _tuples(value)
     return (value,) if isinstance(value, tuple) and value and not isinstance(value[0], tuple) else value
 
@@ -73,8 +73,8 @@ class DoubleHenyeyGreenstein:
 
     Attributes
     ----------
-    forward_g, backward_g : asymmetry of the two, -0.99 to 0.99; that of the second is usually negative
-    forward_fraction : how much of the light the first one scatters, 0 to 1
+    forward_g, backward_g : asymmetries of the two lobes, -0.99 to 0.99; the second is usually negative
+    forward_fraction : share of the light in the forward lobe, 0 to 1
     """
 
     forward_g: Asymmetry
@@ -96,7 +96,7 @@ class DoubleHenyeyGreenstein:
 @answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class TabulatedPhaseFunction:
-    """A phase function from a table, for instance of Mie's theory, for one or several droplet radii.
+    """A phase function from a table, for instance from Mie theory, for one or several droplet radii.
 
     Between the angles of the table it is linear in the cosine of the angle. Its integral over
     the sphere must be 1 within 1 % (`normalised` takes any other table); it is then made 1.
@@ -105,8 +105,8 @@ class TabulatedPhaseFunction:
     ----------
     angle : n >= 2 scattering angles, degrees, increasing from 0 to 180
     values : a row of n densities, sr^-1, for each effective radius; one row if there is no radius
-    effective_radius : of the droplets of each row, micrometres, increasing; may be empty
-    single_scattering_albedo : of the droplets of each row, 0 to 1; None leaves it to the Cloud
+    effective_radius : effective radius of each row's droplets, micrometres, increasing; may be empty
+    single_scattering_albedo : single-scattering albedo of each row's droplets, 0 to 1; None: the Cloud's
     """
 
     angle: Annotated[tuple[_Degrees, ...], BeforeValidator(_tuples), Field(min_length=2)]
@@ -165,7 +165,7 @@ class TabulatedPhaseFunction:
 
         Parameters
         ----------
-        as the attributes of the class; `values` in any unit
+        as the attributes of the class, but `values` in any unit
 
         Raises
         ------
@@ -228,26 +228,26 @@ def sphere_integral(angle: np.ndarray, values: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    angle : degrees, shape (n,)
-    values : shape (..., n)
+    angle : scattering angles, degrees, shape (n,)
+    values : densities at these angles, shape (..., n)
 
     Returns
     -------
-    integral : unit of values times sr, shape (...)
+    integral : integral, unit of values times sr, shape (...)
     """
     values = np.asarray(values, dtype=np.float64)
     return np.pi * ((values[..., 1:] + values[..., :-1]) * _cosine_steps(np.radians(angle))).sum(axis=-1)
 
 
 def _with_type(table: Any) -> Any:
-    """A table with g alone is Henyey and Greenstein's: its type need not be said."""
+    """A table of settings with g but no type is a `HenyeyGreenstein`."""
     if isinstance(table, dict) and "type" not in table and "g" in table:
         return {"type": "henyey-greenstein", **table}
     return table
 
 
 AnyPhaseFunction = HenyeyGreenstein | DoubleHenyeyGreenstein | TabulatedPhaseFunction
-# As a table of the settings.
+# A phase function as a table of the settings.
 PhaseFunction = Annotated[
     Annotated[AnyPhaseFunction, Field(discriminator="type")],
     BeforeValidator(_with_type),

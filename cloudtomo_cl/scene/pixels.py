@@ -32,7 +32,7 @@ def checked_pixels(views: Sequence[View], pixels: Any) -> np.ndarray:
 
     Raises
     ------
-    DataError : it has another shape, is empty or not of integers, or names a view or a pixel that is not there
+    DataError : the list has another shape, is empty or not of integers, or names a view or pixel that does not exist
     """
     given = np.asarray(pixels)
     if given.size == 0:
@@ -59,9 +59,9 @@ def checked_pixels(views: Sequence[View], pixels: Any) -> np.ndarray:
 
 
 def neighbours(views: Sequence[View], pixels: np.ndarray) -> scipy.sparse.csr_matrix:
-    """The mean over a pixel and those of the listed pixels that touch it in its image.
+    """The matrix that takes the mean over each pixel and the listed pixels that touch it in its image.
 
-    Returns a matrix (pixels, pixels), float32; rays of a `RayView` have no neighbours.
+    Its shape is (pixels, pixels), float32. Rays of a `RayView` have no neighbours.
     """
     import scipy.sparse
 

@@ -1,4 +1,4 @@
-"""Where cameras point, a little off: views that are turned or shifted, and what that does to their images."""
+"""Small errors in where cameras point: views that are turned or shifted, and the change of their images."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, RayView, View, image_axes, line_of_sight
 
-# The motions of a view, in this order: its image's centre comes to look farther to the right and farther up, and the
-# camera rolls clockwise about its line of sight. The first two are angles, radians, of cameras, whose rays come from
-# one point, and shifts, km, of views whose rays are parallel; the third is an angle.
+# Number of a view's motions. In this order: the image's centre looks farther to the right, farther up, and the camera
+# rolls clockwise about its line of sight. The first two are angles (radians) for cameras, whose rays come from one
+# point, and shifts (km) for views with parallel rays; the third is an angle (radians).
 MOTIONS = 3
-# A motion that is small against a pixel and large against rounding.
+# A motion, radians or km, that is small against a pixel and large against rounding.
 _SMALL = 1e-5
-# Of the Gaussian whose slope is an image's, pixels: less noise than differences of neighbours.
+# Standard deviation, in pixels, of the Gaussian blur of an image before its slope is taken, against noise.
 _BLUR = 1.0
 
 
 def motion_errors(view: View, grid: Grid, pointing_error: float, position_error: float) -> np.ndarray:
     """Standard errors of a view's motions, shape (3,).
 
-    A camera that stands elsewhere sees the domain's centre in another direction: it counts as turned. What its
-    place changes beyond that is left out.
+    A camera at another position sees the domain's centre in another direction, and counts as turned by that angle.
+    Further effects of its position are left out.
 
     Parameters
     ----------
-    pointing_error : degrees, of a camera's direction and of an image's rotation
-    position_error : km, of a camera's place, or of where an orthographic image lies
+    pointing_error : standard error of a camera's direction and of an image's rotation, degrees
+    position_error : standard error of a camera's position, or of an orthographic image's, km
 
     Raises
     ------
@@ -46,7 +46,7 @@ def motion_errors(view: View, grid: Grid, pointing_error: float, position_error:
 
 
 def moved(view: View, motion: np.ndarray, grid: Grid) -> View:
-    """A view after small motions, shape (3,); without any the same object.
+    """A view after small motions, shape (3,); the same object if they are 0.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def moved(view: View, motion: np.ndarray, grid: Grid) -> View:
 
 
 def pixel_motions(view: View, grid: Grid) -> np.ndarray:
-    """Where pixels come to look, in pixels to the right and down, per unit of each motion, (rows, columns, 2, 3)."""
+    """Shift of pixels to the right and down, in pixels, per unit of each motion, shape (rows, columns, 2, 3)."""
     places = _places(view, grid)
     along = np.stack([_slope(places, axis) for axis in (1, 0)], axis=-1)  # (rows, columns, 3, 2)
     inverse = np.linalg.pinv(np.swapaxes(along, -1, -2) @ along) @ np.swapaxes(along, -1, -2)
@@ -89,11 +89,11 @@ def pixel_motions(view: View, grid: Grid) -> np.ndarray:
 
 
 def image_motions(view: View, image: np.ndarray, grid: Grid) -> np.ndarray:
-    """What the motions of a view change its image by, per unit of each, shape (rows, columns, 3).
+    """The change of a view's image per unit of each motion, shape (rows, columns, 3).
 
     Parameters
     ----------
-    image : as measured, shape (rows, columns); NaN in invalid pixels. Its slope is that of the image blurred a little
+    image : measured image, shape (rows, columns); NaN in invalid pixels. Its slope is taken after a little blur
     """
     from scipy.ndimage import gaussian_filter
 
@@ -103,7 +103,7 @@ def image_motions(view: View, image: np.ndarray, grid: Grid) -> np.ndarray:
 
 
 def error_in_pixels(view: View, grid: Grid, pointing_error: float, position_error: float) -> float:
-    """The standard error of where a pixel looks, in pixels: the largest of an image."""
+    """The standard error of where a pixel looks, in pixels: the largest in an image."""
     errors = motion_errors(view, grid, pointing_error, position_error)
     if not errors.any():
         return 0.0
@@ -111,7 +111,7 @@ def error_in_pixels(view: View, grid: Grid, pointing_error: float, position_erro
 
 
 def _place(view: View) -> np.ndarray:
-    """Where a camera stands, km. DataError if the view is none."""
+    """The position of a camera, km. Raises DataError if the view is no camera."""
     if isinstance(view, PerspectiveView):
         return np.asarray(view.position)
     if isinstance(view, RayView) and (view.origins == view.origins[0]).all() and min(view.pixels) > 1:
@@ -133,7 +133,7 @@ def _turned(sight: np.ndarray, right: np.ndarray, up: np.ndarray, motion: np.nda
 
 
 def _places(view: View, grid: Grid) -> np.ndarray:
-    """What tells rays of pixels apart: unit directions, or origins if they are parallel; shape (rows, columns, 3)."""
+    """Unit directions of the pixels' rays, or origins if the rays are parallel; shape (rows, columns, 3)."""
     width, height = view.pixels
     if isinstance(view, RayView):
         return view.directions.reshape(height, width, 3)
@@ -151,7 +151,7 @@ def _slope(values: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _without_gaps(image: np.ndarray) -> np.ndarray:
-    """With the nearest valid pixels in place of invalid ones."""
+    """The image with the nearest valid pixels in place of invalid ones."""
     from scipy.ndimage import distance_transform_edt
 
     bad = np.isnan(image)

@@ -9,12 +9,12 @@ import numpy as np
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.scene.sensors import PerspectiveView, Pixels, RayView
 
-# Of a rotation, from a matrix in single precision.
+# Allowed rounding error of a rotation, for matrices in single precision.
 _ROUNDING = 1e-5
-# A principal point closer to the image's centre than this, in pixels, is in it.
+# Distance, in pixels, up to which a principal point counts as the image's centre.
 _CENTRED = 1e-6
 _MOST_COEFFICIENTS = 5
-# Fixed-point iterations that undo a distortion, and the residual, in pixels, at which it is undone.
+# Largest number of fixed-point iterations that undo a distortion, and the residual, in pixels, at which they end.
 _ITERATIONS, _UNDONE = 100, 1e-8
 
 
@@ -32,11 +32,11 @@ def camera_from_pose(
 
     Parameters
     ----------
-    rotation : R, shape (3, 3); from the scene's axes (east, north, up) to the camera's
-    translation : t, km, shape (3,); the camera stands at -R^T t
-    matrix : K = [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], in pixels
-    pixels : (width, height)
-    distortion : k1, k2, p1, p2, k3 of the lens; those that are missing are 0
+    rotation : rotation R from the scene's axes (east, north, up) to the camera's, shape (3, 3)
+    translation : translation t, km, shape (3,); the camera stands at -R^T t
+    matrix : camera matrix K = [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], pixels
+    pixels : numbers of pixels (width, height)
+    distortion : coefficients k1, k2, p1, p2, k3 of the lens; missing ones are 0
 
     Returns
     -------
@@ -76,7 +76,7 @@ def camera_from_pose(
 
 
 def _checked(rotation: np.ndarray, translation: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, ...]:
-    """The arrays in double precision, if they are a pose and a camera."""
+    """The arrays in double precision; raises DataError if they are no pose or no camera matrix."""
     r, t, k = (np.asarray(array, np.float64) for array in (rotation, translation, matrix))
     for name, array, shape in (("rotation", r, (3, 3)), ("translation", t.ravel(), (3,)), ("matrix", k, (3, 3))):
         if array.shape != shape or not np.isfinite(array).all():
@@ -96,7 +96,7 @@ def _triple(values: np.ndarray) -> tuple[float, float, float]:
 
 
 def _distorted(x: np.ndarray, y: np.ndarray, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where a lens sends a point of the plane z = 1."""
+    """The point of the plane z = 1 at which a lens shows the point (x, y) of this plane."""
     k1, k2, p1, p2, k3 = coefficients
     square = x**2 + y**2
     radial = 1 + square * (k1 + square * (k2 + square * k3))

@@ -1,4 +1,4 @@
-"""What light meets: cloud optics, air, surface, boundary and sun.
+"""The scene: cloud optics, air, surface, boundary and sun.
 
 The classes are the settings' tables: the same words and the same checks in a TOML file and
 in Python. Lengths are in km, extinction in km^-1, angles in degrees.
@@ -19,7 +19,7 @@ from cloudtomo_cl.scene.phase import HenyeyGreenstein, PhaseFunction
 Fraction = Annotated[float, Field(ge=0, le=1)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-# Far beyond any air; above, paths would scatter in one voxel for ever.
+# The limit is far beyond any air: with more, paths would scatter in one voxel without end.
 _AirExtinction = Annotated[float, Field(ge=0, le=1e4)]
 Angle = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -40,8 +40,8 @@ class Sun:
 
     Attributes
     ----------
-    zenith, azimuth : where the sun stands, degrees
-    irradiance : on a plane normal to the beam, W m^-2
+    zenith, azimuth : direction towards the sun, degrees
+    irradiance : irradiance on a plane normal to the beam, W m^-2
     """
 
     zenith: Annotated[float, Field(ge=0, lt=90)]
@@ -62,9 +62,9 @@ class Cloud:
 
     Attributes
     ----------
-    single_scattering_albedo : 0 to 1
-    phase_function : of the droplets
-    effective_radius : micrometres; which of the radii of a phase table holds where no radius is
+    single_scattering_albedo : single-scattering albedo of the droplets, 0 to 1
+    phase_function : phase function of the droplets
+    effective_radius : effective radius, micrometres, that selects from a phase table where no radius is
         given voxel by voxel
     """
 
@@ -73,7 +73,7 @@ class Cloud:
     effective_radius: Positive | None = None
 
 
-# Scale height of the molecules' extinction, and the layers of a standard atmosphere.
+# Scale height of the molecules' extinction, and faces of the layers of a standard atmosphere.
 _SCALE_HEIGHT = 8.0  # km
 _STANDARD_LEVELS = tuple(float(level) for level in (*range(0, 20), *range(20, 51, 5)))  # km
 
@@ -81,18 +81,18 @@ _STANDARD_LEVELS = tuple(float(level) for level in (*range(0, 20), *range(20, 51
 @answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Air:
-    """Molecules; they scatter after Rayleigh.
+    """Molecules of the air, which scatter after Rayleigh.
 
     Without levels they are inside the grid only, as in the paper. With levels they lie in
-    layers that go on horizontally for ever: below, beside (if sides are open) and above the grid.
+    horizontal layers without end: below, beside (if sides are open) and above the grid.
 
     Attributes
     ----------
-    extinction : km^-1, constant, or one value for each layer from the lowest up
-    single_scattering_albedo : 0 to 1
-    levels : km, the faces of the layers from the lowest up, one more than layers; by default the
-        layers are those of the grid's voxels
-    wavelength : nm; in place of extinction, gives that of a standard atmosphere
+    extinction : extinction of the molecules, km^-1, constant, or one value for each layer from the lowest up
+    single_scattering_albedo : single-scattering albedo of the molecules, 0 to 1
+    levels : heights of the layers' faces above the ground, km, from the lowest up, one more than layers; by
+        default the layers are those of the grid's voxels
+    wavelength : wavelength, nm; in place of extinction, it gives that of a standard atmosphere
         (`rayleigh_optical_depth`, falling with a scale height of 8 km)
     """
 
@@ -125,9 +125,9 @@ class Air:
 
         Returns
         -------
-        levels : km above the ground, increasing, shape (layers + 1,); with air outside of the
-            grid the first is 0
-        extinction : km^-1, shape (layers,)
+        levels : heights of the layers' faces above the ground, km, increasing, shape (layers + 1,);
+            with air outside of the grid the first is 0
+        extinction : extinction of each layer, km^-1, shape (layers,)
 
         A profile is averaged onto the grid's layers so that its optical depth is kept.
         """
@@ -144,7 +144,7 @@ class Air:
             values = np.broadcast_to(np.asarray(self.extinction, dtype=float), len(levels) - 1)
         depth = np.concatenate([[0.0], np.cumsum(values * np.diff(levels))])
         others = np.concatenate([[0.0], levels])
-        # A level within rounding of the grid's would make a layer of no thickness.
+        # A level that differs from the grid's by rounding alone would make a layer without thickness.
         apart = 1e-6 * grid.spacing[2]
         others = np.unique(others[(others < grid_levels[0] - apart) | (others > grid_levels[-1] + apart)])
         merged = np.sort(np.concatenate([others, grid_levels]))
@@ -160,7 +160,7 @@ class Air:
 def rayleigh_optical_depth(wavelength: float) -> float:
     """Optical depth of a standard atmosphere's molecules above sea level.
 
-    wavelength : nm, 250 to 4000
+    wavelength : wavelength, nm, 250 to 4000
 
     Source: Bodhaine, Wood, Dutton and Slusser 1999, "On Rayleigh optical depth calculations",
     Eq. 30 (1013.25 hPa, 45 degrees of latitude, 360 ppm of CO2).
@@ -177,7 +177,7 @@ class Surface:
 
     Attributes
     ----------
-    albedo : the reflected share, 0 (black) to 1
+    albedo : share of the light that is reflected, 0 (black) to 1
     """
 
     albedo: Fraction = 0.0
@@ -186,11 +186,11 @@ class Surface:
 @answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Boundary:
-    """What lies beside the domain.
+    """The surroundings of the domain.
 
     Attributes
     ----------
-    horizontal : vacuum ("open"), or copies of the domain ("periodic")
+    horizontal : what lies beside the domain: vacuum ("open"), or copies of the domain ("periodic")
     """
 
     horizontal: Literal["open", "periodic"] = "open"
@@ -203,7 +203,13 @@ class Scene:
 
     Attributes
     ----------
-    wavelength : nm in air, at which the optics are as they are here, if it is known; images get it as a coordinate,
+    grid : grid of the domain
+    sun : the sun
+    cloud : optics of the droplets
+    air : molecules of the air; None: there is no air
+    surface : ground at z = 0
+    boundary : what lies beside the domain
+    wavelength : wavelength in air, nm, for which these optics hold, if it is known; images get it as a coordinate,
         and nothing is computed from it
     """
 
@@ -216,15 +222,15 @@ class Scene:
     wavelength: Positive | None = None
 
     def air_layers(self) -> tuple[np.ndarray, np.ndarray]:
-        """`Air.layers` on the scene's grid; without air they hold nothing."""
+        """`Air.layers` on the scene's grid; without air their extinction is 0."""
         return (self.air or Air(extinction=0.0)).layers(self.grid)
 
     @property
     def top(self) -> float:
-        """The height of all that scatters, km."""
+        """The height above which nothing scatters, km."""
         return float(self.air_layers()[0][-1])
 
     def air_layers_below(self) -> int:
-        """How many layers of air lie below the grid."""
+        """The number of layers of air below the grid."""
         levels, _ = self.air_layers()
         return int(np.argmin(np.abs(levels - self.grid.origin[2])))

@@ -1,4 +1,4 @@
-"""Seeds: which random numbers a run takes."""
+"""Seeds of the random numbers of a run."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Any
 
 from cloudtomo_cl.errors import DataError
 
-# Kernels take seeds of 32 bits, unsigned.
+# Number of seeds: kernels take unsigned integers of 32 bits.
 SEEDS = 2**32
 
 
 def checked_seed(seed: Any, name: str = "seed") -> int:
-    """A whole number that kernels take as it is. DataError if it is none, or beyond 32 bits."""
+    """A seed as an int. Raises DataError if it is no whole number, or does not fit 32 bits."""
     try:
         number = operator.index(seed)
     except TypeError:

@@ -1,4 +1,4 @@
-"""Views: where the sensors stand and how their images lie.
+"""Views: positions of the sensors and orientations of their images.
 
 Row 0 is the top of an image as the viewer sees it, columns run left to right. An affine view
 gives its rays as affine functions of the image coordinates (u, v) in [0, 1]^2, u to the
@@ -24,15 +24,15 @@ from cloudtomo_cl.scene.grid import Count, Grid, Length, Triple
 from cloudtomo_cl.scene.scene import Angle, Scene, direction
 
 Pixels = tuple[Count, Count]
-# Positions have single precision in the kernels: at this distance, km, that is 8 m. Images of a cloud of 0.8 km in 24
-# pixels have the mean of an orthographic view to 0.1 % up to there, and single pixels to 5 %.
+# Largest distance of a sensor, km. Positions have single precision in the kernels, at this distance 8 m. Up to there,
+# images of a cloud of 0.8 km in 24 pixels agree with an orthographic view's: in the mean to 0.1 %, in pixels to 5 %.
 FARTHEST = 1e5
 # Sine of the angle below the horizon from which on rays of an orthographic view can be taken up above the domain.
 _SHALLOW = 0.05
 
 
 def _require_near(name: str, position: Triple) -> None:
-    """Refuses cameras beyond the distance at which single precision tells their rays apart. ValueError."""
+    """Raises ValueError for a camera so far away that single precision does not tell its rays apart."""
     if max(map(abs, position)) > FARTHEST:
         raise ValueError(
             f"{name} lies farther than {FARTHEST:g} km away, where single precision no longer tells its rays apart: "
@@ -70,13 +70,13 @@ def line_of_sight(position: Triple, target: Triple) -> np.ndarray:
 
 
 def _card_of(view: Any) -> str:
-    """What a notebook shows of a view: its fields."""
+    """The card of a view's fields that a notebook shows."""
     given = {field.name: getattr(view, field.name) for field in fields(view) if field.name != "type"}
     return card(type(view).__name__, {name: str(value) for name, value in given.items() if value is not None})
 
 
 class AffineView(ABC):
-    """What views have in common whose rays are affine in the image coordinates."""
+    """A view whose rays are affine functions of the image coordinates."""
 
     pixels: Pixels
 
@@ -86,8 +86,8 @@ class AffineView(ABC):
 
         Parameters
         ----------
-        grid : of the domain
-        top : km, the height above which there is nothing; by default the domain's top
+        grid : grid of the domain
+        top : height above which there is nothing, km; by default the domain's top
 
         Returns two arrays of shape (3, 3): the value at (0, 0), its change over u, over v.
         Along each image coordinate either the origin changes or the direction, not both.
@@ -97,7 +97,7 @@ class AffineView(ABC):
         return _card_of(self)
 
     def with_pixels(self, pixels: Pixels) -> View:
-        """The same field of view in other pixels (width, height)."""
+        """The same field of view with other numbers of pixels (width, height)."""
         return replace(self, pixels=pixels)  # type: ignore[type-var, return-value]
 
     def project(self, grid: Grid, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -105,14 +105,14 @@ class AffineView(ABC):
 
         Parameters
         ----------
-        grid : of the domain
-        points : km, shape (..., 3)
+        grid : grid of the domain
+        points : points in the scene, km, shape (..., 3)
 
         Returns
         -------
         u, v : image coordinates, outside of [0, 1] beside the frame; shape (...)
-        depth : along the line of sight, km; where it is not positive the point lies behind the
-            sensor, and u, v mean nothing
+        depth : distance along the line of sight, km; where it is not positive the point lies behind
+            the sensor, and u, v have no meaning
         """
         origin, direction = self.rays(grid)
         # Where the origin moves with u, point = origin + u change + depth direction; where the
@@ -134,7 +134,7 @@ class PerspectiveView(AffineView):
 
     Attributes
     ----------
-    position, target : km; the camera stands at position and looks at target
+    position, target : points, km; the camera stands at position and looks at target
     up : a direction that is up in the image; by default +z, or north if the line of sight is vertical
     field_of_view : degrees, across the image's width
     pixels : (width, height)
@@ -188,10 +188,10 @@ class OrthographicView(AffineView):
 
     Attributes
     ----------
-    width : of the image in km, measured across the rays
+    width : width of the image, km, measured across the rays
     pixels : (width, height)
-    position, target : km
-    zenith, azimuth : degrees; zenith below 90 (use position and target to look up)
+    position, target : points, km: the sensor looks from position at target
+    zenith, azimuth : direction towards the sensor, degrees; zenith below 90 (use position and target to look up)
     up : a direction that is up in the image; by default +z, or north if the line of sight is vertical
     aspect : height of the image over its width; by default pixels are square
     """
@@ -284,11 +284,10 @@ class PushBroomView(AffineView):
 
     Attributes
     ----------
-    start, end : of the track, km, at the same height
-    field_of_view : degrees, across the track
-    pixels : (across, along) the track
-    along_track_angle : degrees from nadir in which the scanner looks, positive ahead (fore),
-        negative back (aft)
+    start, end : ends of the track, km, at the same height
+    field_of_view : angle across the track, degrees
+    pixels : numbers of pixels (across, along) the track
+    along_track_angle : view angle, degrees from nadir, positive ahead (fore), negative back (aft)
     """
 
     start: Triple
@@ -334,9 +333,9 @@ class RadiometerView(AffineView):
 
     Attributes
     ----------
-    zenith, azimuth : of the direction from the scene to the sensor, degrees. Below 90 the radiance
+    zenith, azimuth : direction from the scene to the sensor, degrees. With a zenith below 90 the radiance
         leaves the top; above, it reaches the bottom, and the sensor looks up.
-    pixels : (along x, along y); `of_columns` has one for each column of a grid
+    pixels : numbers of pixels (along x, along y); `of_columns` has one for each column of a grid
     """
 
     zenith: Annotated[float, Field(ge=0, le=180)]
@@ -352,7 +351,7 @@ class RadiometerView(AffineView):
 
     @classmethod
     def of_columns(cls, grid: Grid, zenith: float, azimuth: float = 0.0) -> RadiometerView:
-        """With a pixel for each column of a grid."""
+        """The view with a pixel for each column of a grid."""
         return cls(zenith=zenith, azimuth=azimuth, pixels=grid.shape[:2])
 
     def rays(self, grid: Grid, top: float | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -391,14 +390,14 @@ RowsOfThree = Annotated[
 class RayView:
     """Arbitrary rays, one for each pixel: for sensors that no other view describes.
 
-    A pixel's samples all take its ray. Pixels need not lie side by side in space, so the
+    All samples of a pixel take its ray. Pixels need not lie side by side in space, so the
     image is never resampled: a reconstruction keeps its pixels in every stage.
 
     Attributes
     ----------
-    origins : km, shape (rays, 3), in or around the domain, not below the ground
-    directions : in which the sensor looks, shape (rays, 3), of any length; kept as unit vectors
-    pixels : (width, height), ray `row * width + column` belongs to a pixel; by default (rays, 1)
+    origins : starting points of the rays, km, shape (rays, 3), in or around the domain, not below the ground
+    directions : directions in which the sensor looks, shape (rays, 3), of any length; kept as unit vectors
+    pixels : (width, height); the ray `row * width + column` belongs to pixel (row, column); by default (rays, 1)
     """
 
     origins: RowsOfThree
@@ -445,12 +444,12 @@ class RayView:
         return hash((self.pixels, self.origins.tobytes(), self.directions.tobytes()))
 
     def starts(self, scene: Scene) -> np.ndarray:
-        """Points from which the rays see the same, but close to the domain: km, shape (rays, 3).
+        """Points close to the domain from which the rays see the same: km, shape (rays, 3).
 
         Kernels have single precision, which is some metres at the distance of a satellite. A ray
-        that comes through a void starts where it enters the domain (or the atmosphere, with air
-        outside of the grid), or, if it passes the domain by on its way down, at the ground. In a
-        periodic domain it starts within the domain.
+        through empty space starts where it enters the domain (or the atmosphere, with air outside
+        of the grid), or at the ground, if it passes the domain on its way down. In a periodic
+        domain it starts within the domain.
         """
         lower, upper = np.array(scene.grid.origin), np.add(scene.grid.origin, scene.grid.extent)
         extent, periodic = scene.grid.extent, scene.boundary.horizontal == "periodic"
@@ -475,13 +474,13 @@ def clip_to_box(
 
     Parameters
     ----------
-    start, step : shape (..., 3)
+    start, step : starting points and directions, shape (..., 3)
     lower, upper : corners of the box, shape (3,)
-    axes : along which the box ends
+    axes : axes along which the box is bounded
 
     Returns
     -------
-    near, far : shape (...); a ray misses the box where near > far
+    near, far : values of t, shape (...); a ray misses the box where near > far
     """
     axes = list(axes)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""What views see of a domain: which pixels look at it, or at voxels of a mask, and where a voxel's image lies."""
+"""Visibility: which pixels look at the domain or at voxels of a mask, and where a voxel appears in an image."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.sensors import AffineView, RayView, View, clip_to_box
 
-# Corners of voxels that are projected at once: some 100 MB of temporary arrays.
+# Number of voxel corners that are projected at once: some 100 MB of temporary arrays.
 _CORNERS_AT_ONCE = 1 << 20
 # A corner this close to a pixel's edge, in pixels, counts as on it: rounding opens no new pixel.
 _EDGE = 1e-6
@@ -35,7 +35,7 @@ def check_views(scene: Scene, views: Sequence[View]) -> None:
 def pixels_that_meet(view: View, grid: Grid) -> np.ndarray:
     """Which pixels of a view look at the domain: bool, shape (rows, columns).
 
-    A pixel counts if the ray through its centre or through one of its corners does; in a list
+    A pixel counts if the ray through its centre or one of its corners meets the domain; in a list
     of rays, if its ray does.
     """
     width, height = view.pixels
@@ -61,8 +61,8 @@ def _rays_meet(view: AffineView, grid: Grid, u: np.ndarray, v: np.ndarray) -> np
 def pixels_that_see(view: View, grid: Grid, mask: np.ndarray) -> np.ndarray:
     """Which pixels of a view may look at a voxel of a mask: bool, shape (rows, columns).
 
-    A pixel counts if it lies in the bounding box of the projection of a kept voxel. In a list of
-    rays it counts if its ray meets the bounding box of all kept voxels.
+    A pixel counts if it lies in the bounding box of the projection of a voxel of the mask. In a list
+    of rays it counts if its ray meets the bounding box of all these voxels.
     """
     width, height = view.pixels
     if isinstance(view, RayView):
@@ -94,10 +94,13 @@ def pixels_that_see(view: View, grid: Grid, mask: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Footprints:
-    """Bounding boxes of voxels in an image, clipped to its frame: pixel ranges [start, stop)."""
+    """Bounding boxes of voxels in an image, clipped to its frame: columns [left, right), rows [top, bottom).
 
-    whole: np.ndarray  # the voxel lies in front of the sensor and inside the frame
-    in_front: np.ndarray
+    All arrays have the shape (x, y, z) of the voxels.
+    """
+
+    whole: np.ndarray  # whether the voxel lies in front of the sensor and inside the frame
+    in_front: np.ndarray  # whether it lies in front of the sensor
     left: np.ndarray
     right: np.ndarray
     top: np.ndarray
@@ -105,7 +108,7 @@ class Footprints:
 
 
 def footprints(view: AffineView, grid: Grid, first: int, last: int) -> Footprints:
-    """Of the voxels of the slab first <= x < last."""
+    """The bounding boxes of the voxels of the slab first <= x < last."""
     edges = [grid.origin[axis] + grid.spacing[axis] * np.arange(grid.shape[axis] + 1) for axis in range(3)]
     edges[0] = edges[0][first : last + 1]
     corners = np.stack(np.meshgrid(*edges, indexing="ij"), axis=-1)
@@ -126,14 +129,14 @@ def footprints(view: AffineView, grid: Grid, first: int, last: int) -> Footprint
 
 
 def slabs(grid: Grid) -> Iterator[tuple[int, int]]:
-    """Ranges along x of as many voxels as are projected at once."""
+    """Ranges along x, each with as many voxels as are projected at once."""
     slab = max(1, _CORNERS_AT_ONCE // ((grid.shape[1] + 1) * (grid.shape[2] + 1)) - 1)
     for first in range(0, grid.shape[0], slab):
         yield first, min(first + slab, grid.shape[0])
 
 
 def _over_corners(values: np.ndarray, extreme: np.ufunc) -> np.ndarray:
-    """The extreme over the eight corners of every voxel."""
+    """The minimum or maximum over the eight corners of every voxel."""
     for axis in range(3):
         count = values.shape[axis] - 1
         values = extreme(values.take(range(count), axis), values.take(range(1, count + 1), axis))

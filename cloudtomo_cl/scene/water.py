@@ -25,9 +25,9 @@ _HALE_QUERRY = """
 3.700 1.374 3.60e-3  3.800 1.364 3.40e-3  3.900 1.357 3.80e-3  4.000 1.351 4.60e-3
 """
 
-# The imaginary part between, where Hale and Querry's steps of 200 nm cut the bands at 1450 and 1940 nm and fill the
-# windows beside them (by 15 to 48 % at 1240, 1650 and 2130 nm): Segelstein 1981, The complex refractive index of water,
-# M.S. thesis, University of Missouri-Kansas City: wavelength (um), imaginary part.
+# The imaginary part from 1000 to 2400 nm, where Hale and Querry's steps of 200 nm cut the bands at 1450 and 1940 nm and
+# fill the windows beside them (by 15 to 48 % at 1240, 1650 and 2130 nm): Segelstein 1981, The complex refractive index
+# of water, M.S. thesis, University of Missouri-Kansas City: wavelength (um), imaginary part.
 _SEGELSTEIN = """
 1.000 3.000e-6  1.009 2.688e-6  1.021 2.352e-6  1.030 2.001e-6  1.040 1.690e-6  1.050 1.419e-6  1.059 1.299e-6
 1.069 1.259e-6  1.079 1.329e-6  1.089 1.499e-6  1.099 1.708e-6  1.109 2.038e-6  1.119 2.628e-6  1.130 3.869e-6
@@ -56,12 +56,12 @@ _SEGELSTEIN = """
 def water_refractive_index(wavelength_nm: float) -> complex:
     """The refractive index of liquid water, n - i k, at 25 degrees C.
 
-    Hale and Querry 1973, Table I, from 200 to 4000 nm, but k from 1000 to 2400 nm of Segelstein 1981, in steps of
-    10 nm; between a table's wavelengths n and log k are linear in the wavelength.
+    From Hale and Querry 1973, Table I, 200 to 4000 nm; but k from 1000 to 2400 nm is that of Segelstein 1981, in steps
+    of 10 nm. Between a table's wavelengths n and log k are linear in the wavelength.
 
     Raises
     ------
-    DataError : a wavelength outside of the table
+    DataError : the wavelength is outside of the table
     """
     micrometres, real, imaginary = np.array(_HALE_QUERRY.split(), dtype=np.float64).reshape(-1, 3).T
     place = wavelength_nm / 1e3

@@ -1,14 +1,14 @@
-/* How many work items add into one number.
+/* Sums in fixed point, to which many work items add.
  *
  * Values are rounded to integers and summed in fixed point, 64 bits wide: the sum has the same
- * bits whatever the order, and does not drift however many they are. Devices without 64-bit
- * atomics add the two halves apart and carry. The host scales what is added so that one unit
- * is the wanted resolution.
+ * bits whatever the order, and does not drift however many values there are. Devices without
+ * 64-bit atomics add the two halves separately and carry. The host scales values so that one
+ * unit is the wanted resolution.
  *
- * A sum that leaves +-LARGEST_SUM (2^62, half of what 64 bits hold), and one to which something
- * beyond half of that is added, or no number, becomes OVERFLOWN. Whoever adds to that finds it
- * outside of the range as well and puts it back, so it stays there for the host to see
- * (cloudtomo_cl/opencl/fixed_point.py), even if several add at the same time.
+ * A sum becomes OVERFLOWN if it leaves +-LARGEST_SUM (2^62, half of what 64 bits hold), or if a
+ * value beyond half of that, or NaN, is added. A work item that adds to it later finds the sum
+ * outside of the range again and sets it to OVERFLOWN again, so that the host can see it
+ * (cloudtomo_cl/opencl/fixed_point.py), even if several work items add at the same time.
  */
 #ifndef CLOUDTOMO_ACCUMULATE_H
 #define CLOUDTOMO_ACCUMULATE_H
@@ -20,7 +20,7 @@ typedef long Accumulator;
 #define LARGEST_ADDEND (0.5f * (float)LARGEST_SUM)
 
 #define OVERFLOWN LONG_MIN
-#define OVERFLOWN_WORD 0x80000000u /* the high one */
+#define OVERFLOWN_WORD 0x80000000u /* its high word */
 #ifdef __ENDIAN_LITTLE__
 #define LOW_WORD 0
 #else
@@ -34,7 +34,7 @@ typedef long Accumulator;
 /* Whether a number of units may be added at a time. */
 inline bool is_addend(Accumulator units) { return (ulong)units + LARGEST_SUM / 2 <= LARGEST_SUM; }
 
-/* The units that stand for a value; OVERFLOWN for one that is too large, or no number. */
+/* The units that stand for a value; OVERFLOWN if it is too large, or NaN. */
 inline Accumulator units_of(float value)
 {
     return magnitude(value) < LARGEST_ADDEND ? convert_long_rte(value) : OVERFLOWN;
@@ -45,8 +45,8 @@ inline void accumulate(volatile __global Accumulator *sum, float value) { add_un
 /* Whether a sum has left its range. */
 inline bool has_overflowed(Accumulator sum) { return (ulong)sum + LARGEST_SUM >= 2ul * LARGEST_SUM; }
 
-/* A sum of many floats that does not drift: sum + low holds about twice the bits (Knuth's
- * two-sum; what `low` has gathered is carried over into `sum`, else it would drift itself). */
+/* A sum of many floats that does not drift: sum + low has about twice the bits (Knuth's
+ * two-sum; `low` is carried over into `sum`, since otherwise it would drift itself). */
 inline void add_compensated(float *sum, float *low, float value)
 {
     const float total = *sum + value;

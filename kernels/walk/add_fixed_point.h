@@ -1,5 +1,5 @@
-/* Adds whole units to a sum in fixed point, see accumulate.h: a template, of which that makes a function for each kind
- * of memory (so there is no include guard). It takes, and undefines:
+/* A template for functions that add whole units to a sum in fixed point (accumulate.h), one for each kind of memory; so
+ * there is no include guard. It takes these macros, and undefines them:
  *
  *   ADD_UNITS    the function's name
  *   SUM_SPACE    the address space of the sum
@@ -17,7 +17,7 @@ inline void ADD_UNITS(volatile SUM_SPACE Accumulator *sum, Accumulator units)
     atom_xchg(sum, OVERFLOWN);
 }
 #else
-/* Every wrap of the low word is seen by exactly one work item, which carries it. */
+/* Exactly one work item sees each wrap of the low word, and carries it. */
 inline void ADD_UNITS(volatile SUM_SPACE Accumulator *sum, Accumulator units)
 {
     volatile SUM_SPACE uint *words = (volatile SUM_SPACE uint *)sum;

@@ -1,12 +1,12 @@
 /* Small functions that the kernels call all the time.
  *
- * A device's own are not inlined everywhere (PoCL calls its library's as functions where that was built
- * for a processor with more features than the one it believes to have), and differ in the last bits
- * from device to device. These are a few instructions each, and on every device the same. */
+ * The functions of OpenCL are not inlined everywhere (PoCL calls its library where that was built for a
+ * processor with more features than the one it believes to have), and differ in the last bits from
+ * device to device. These are a few instructions each, with the same results on every device. */
 #ifndef CLOUDTOMO_ARITHMETIC_H
 #define CLOUDTOMO_ARITHMETIC_H
 
-/* As fmin, fmax, clamp, fabs for numbers that are numbers. */
+/* As fmin, fmax, clamp and fabs, but not for NaN. */
 inline float lesser(float a, float b) { return a < b ? a : b; }
 inline float greater(float a, float b) { return a > b ? a : b; }
 inline float within(float value, float least, float most) { return lesser(greater(value, least), most); }
@@ -56,7 +56,7 @@ inline float exponential(float a)
     return power * as_float((uint)(exponent + 127) << 23);
 }
 
-/* Halley's step towards the cube root of a: of the guess's error little more than the cube is left. */
+/* Halley's step towards the cube root of a: the relative error becomes about its cube. */
 inline float nearer_cube_root(float guess, float a)
 {
     const float cube = guess * guess * guess;

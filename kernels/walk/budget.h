@@ -1,6 +1,6 @@
-/* The energy budget: where the weight of paths ends.
+/* The energy budget: how the weight of paths ends.
  *
- * Every path starts with a weight of 1, and every bit of it ends in one of the terminations (the enum
+ * Every path starts with a weight of 1, and every part of it ends in one of the terminations (the enum
  * Termination, in cloudtomo_cl/opencl/layout.py): the audit compares their sum with the number of paths. */
 #ifndef CLOUDTOMO_BUDGET_H
 #define CLOUDTOMO_BUDGET_H
@@ -9,11 +9,11 @@
 #include "walk/kept.h"
 
 /* WEIGHT_UNIT: fixed-point units of a weight of 1. Work groups add into one of BUDGET_COPIES copies of
- * the sums, lest all wait for one address. Both from cloudtomo_cl/opencl/layout.py. On GPUs, where an atomic sum of
- * every path would bound them, a group adds up its own first.
+ * the sums, so that they do not all wait for one address. Both are from cloudtomo_cl/opencl/layout.py. On GPUs atomic
+ * sums of every path would limit the speed, so that a group first adds up its paths in local memory.
  *
- *   GROUP_BUDGET(name, sums)            declares what paths of a group add to, in a kernel; not in a branch
- *   close_group_budget(name, sums)      when all its paths have ended */
+ *   GROUP_BUDGET(name, sums)            declares, in a kernel but in no branch, the sums to which a group's paths add
+ *   close_group_budget(name, sums)      is called when all paths of the group have ended */
 #ifdef CLOUDTOMO_REGENERATES
 #define SUM_SPACE __local
 #define ADD_UNITS add_units_in_group
@@ -49,11 +49,11 @@ inline void close_group_budget(BudgetSums group, volatile __global Accumulator *
 
 typedef struct {
     /* Volatile, so that they stay in memory: an event adds to one or two, and GPUs lack registers. */
-    volatile float absorbed; /* weight, by droplets and molecules */
-    volatile float surface;  /* weight, by the surface */
-    volatile float killed;   /* less the weight that survived roulettes have given */
-    volatile float killed_variance;
-    volatile float truncated; /* radiance, sr^-1 */
+    volatile float absorbed;        /* weight absorbed by droplets and molecules */
+    volatile float surface;         /* weight absorbed by the surface */
+    volatile float killed;          /* minus the weight that survived roulettes have added */
+    volatile float killed_variance; /* variance of the killed weight */
+    volatile float truncated;       /* radiance cut off by truncation, sr^-1 */
 } Budget;
 
 inline void clear_budget(KEPT Budget *budget)
@@ -73,7 +73,7 @@ inline void budget_absorption(KEPT Budget *budget, bool by_surface, float weight
         budget->absorbed += weight;
 }
 
-/* A roulette between `throughput` and `raised`, or nothing. */
+/* Records a roulette that raises `throughput` to `raised`, or ends the path. */
 inline void budget_roulette(KEPT Budget *budget, float throughput, float raised, bool survives)
 {
     budget->killed_variance += throughput * (raised - throughput);

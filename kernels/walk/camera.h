@@ -1,7 +1,7 @@
-/* Sensors: from a sample to a ray.
+/* Sensors: the ray of a sample.
  *
- * Every projection whose rays' origins and directions are affine in the image coordinates
- * is one formula (perspective: fixed origin; orthographic: fixed direction; push-broom: the
+ * One formula serves every projection whose rays' origins and directions are affine in the image
+ * coordinates (perspective: fixed origin; orthographic: fixed direction; push-broom: the
  * origin moves with v, the direction fans out with u). Image coordinates (u, v) run over
  * [0, 1]^2 from the upper left corner, u to the right and v down. Any other sensor is a list
  * of rays, one for each pixel. */
@@ -20,7 +20,7 @@ inline float3 affine(const __global float *coefficients, float u, float v)
 
 #define FLOATS_PER_RAY 6 /* origin, km from the domain's lower corner; direction */
 
-/* The ray of a sample: uniform over its pixel, or its pixel's own one among `rays`. */
+/* The ray of a sample: through a random point of its pixel, or its pixel's ray in the list `rays`. */
 inline Ray camera_ray(const __constant Scene *scene, const __global View *view, const __global float *rays,
                       const SampleKey *key)
 {
@@ -41,8 +41,8 @@ inline Ray camera_ray(const __constant Scene *scene, const __global View *view, 
     return ray;
 }
 
-/* The path that a work item walks: neighbours in a work group walk paths of the same pixel, which go through
- * the same voxels, and end early all together where there is no cloud. */
+/* The number of the path that a work item walks. Neighbours in a work group walk paths of the same pixel, which go
+ * through the same voxels, and all end early where there is no cloud. */
 inline uint path_of_item(uint item, uint pixel_count, uint path_count)
 {
     const uint samples = path_count / pixel_count;

@@ -1,4 +1,4 @@
-/* The local estimate: sunlight that a collision, or the surface, sends along a path. */
+/* The local estimate: sunlight that is scattered into a path at a collision or at the surface. */
 #ifndef CLOUDTOMO_ESTIMATE_H
 #define CLOUDTOMO_ESTIMATE_H
 
@@ -6,8 +6,8 @@
 
 typedef struct {
     float radiance;      /* sr^-1, for a sun of irradiance 1 */
-    float removed;       /* by truncation, sr^-1 */
-    float optical_depth; /* that the shadow ray was to be followed for; 0: it was not sent */
+    float removed;       /* radiance removed by truncation, sr^-1 */
+    float optical_depth; /* up to which the shadow ray was followed; 0: there was none */
 } LocalEstimate;
 
 /* The ray from a position to the sun. */
@@ -19,8 +19,8 @@ inline Ray shadow_ray(const Medium *medium, const Ray *from)
 }
 
 /* Radiance of the sunlight that reaches the ray's position: weight (sr^-1) times the
- * transmittance to the sun. A threshold above 0 (sr^-1) plays a roulette that ends shadow rays
- * which would contribute less; the mean is kept. Beyond the scene's truncation it is cut. */
+ * transmittance to the sun. With a threshold above 0 (sr^-1) a roulette ends shadow rays that
+ * would contribute less, and keeps the mean. The radiance is limited to the scene's truncation. */
 LARGE_FUNCTION LocalEstimate local_estimate(const Medium *medium, const Ray *at, float weight, float threshold, float u)
 {
     LocalEstimate estimate = {0.0f, 0.0f, 0.0f};
@@ -36,7 +36,7 @@ LARGE_FUNCTION LocalEstimate local_estimate(const Medium *medium, const Ray *at,
     return estimate;
 }
 
-/* Whether an estimate depends on the way to the sun: none that is 0, or was truncated. */
+/* Whether an estimate depends on the extinction on the way to the sun: not if it is 0 or truncated. */
 inline bool depends_on_shadow_ray(const Medium *medium, const LocalEstimate *estimate)
 {
     return estimate->radiance != 0.0f && estimate->radiance < medium->scene->truncation;

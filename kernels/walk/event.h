@@ -1,28 +1,28 @@
-/* The pieces of a path, as the walk tells a tally of them. */
+/* The pieces of a path, which the walk passes to a tally. */
 #ifndef CLOUDTOMO_EVENT_H
 #define CLOUDTOMO_EVENT_H
 
 #include "walk/flight.h"
 #include "walk/rng.h"
 
-/* A free path that is sampled, of the path's own or a side flight. */
+/* A sampled free flight, of the path itself or a side flight. */
 typedef struct {
     Ray start;
-    float optical_depth; /* sampled: where it collides, if it gets so far */
-    float throughput;    /* of the path at its start */
-    uint event;          /* its number in the path; 1: from the camera, or the sun */
+    float optical_depth; /* sampled optical depth at which it collides, if it gets that far */
+    float throughput;    /* throughput of the path at its start */
+    uint event;          /* number in the path; 1: from the camera, or from the sun */
 } Segment;
 
-/* Where a path scatters: what is kept of it. */
+/* The state of a path where it scatters. */
 typedef struct {
-    KeptRay ray; /* its direction is that in which the path arrives */
+    KeptRay ray; /* position, and direction in which the path arrives */
     Particle particle;
     float albedo;
-    float throughput;         /* of the path, after it: product of single-scattering albedos, over survival */
+    float throughput;         /* after the interaction: product of albedos, over the probability of survival */
     uint event;               /* number of the segment that ends here */
-    KeptVector new_direction; /* in which the path goes on */
-    float u_estimate;         /* uniform numbers: for the roulette on the local estimate */
-    float u_side_flights;     /* for the number of side flights */
+    KeptVector new_direction; /* direction in which the path goes on */
+    float u_estimate;         /* uniform number for the roulette on the local estimate */
+    float u_side_flights;     /* uniform number for the number of side flights */
 } Interaction;
 
 #endif

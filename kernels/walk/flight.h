@@ -4,8 +4,8 @@
 
 #include "walk/medium.h"
 
-/* A voxel's faces that a flight may cross before it is given up as lost: only a ray
- * that is horizontal, or all but, in a periodic and empty layer gets there. */
+/* Largest number of voxel faces that a flight may cross before it is given up as lost: only a
+ * nearly horizontal ray in an empty layer of a periodic domain gets there. */
 #define CROSSINGS_LIMIT (1 << 18)
 
 /* How a flight ended. */
@@ -14,15 +14,15 @@ typedef struct {
     bool met_grid;     /* it has been inside the grid */
     bool through_side; /* it left the grid through a side */
     bool lost;         /* it was given up */
-    float depth;       /* optical depth flown through */
-    float droplets;    /* extinction where it collided, km^-1 */
-    float air;
-    int index; /* voxel where it collided; -1 outside of the grid */
+    float depth;       /* optical depth of the way flown */
+    float droplets;    /* extinction of droplets where it collided, km^-1 */
+    float air;         /* extinction of molecules where it collided, km^-1 */
+    int index;         /* voxel where it collided; -1 outside of the grid */
 } Flight;
 
 #ifdef CLOUDTOMO_ATMOSPHERE
-/* Flies through the layers of air beside, above and below the grid, up to `limit` km. Moves the
- * ray to a collision (true), or if nothing limits it to where it leaves the atmosphere. */
+/* Flies through the layers of air beside, above and below the grid, at most `limit` km. Moves the ray to a
+ * collision and returns true; or, if the limit is infinite, to where it leaves the atmosphere. */
 inline bool fly_outside(const Medium *medium, Ray *ray, float optical_depth, float limit, Flight *flight)
 {
     const __constant Scene *scene = medium->scene;
@@ -73,8 +73,8 @@ inline bool fly_outside(const Medium *medium, Ray *ray, float optical_depth, flo
 }
 #endif
 
-/* Flies along the ray until it has crossed the optical depth `optical_depth` (a collision) or left all
- * that scatters, and moves the ray there; leaves nothing behind on its way. */
+/* Flies along the ray up to the optical depth `optical_depth` (a collision), or until it has left everything
+ * that scatters, and moves the ray there. Nothing is done on the way. */
 #define TRAVERSAL fly
 #define TRAVERSAL_CONTEXT
 #define CROSSES(index, length)

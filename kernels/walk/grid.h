@@ -17,10 +17,10 @@ typedef struct {
     bool inside;      /* the position is known to lie in the domain */
 } Ray;
 
-/* A ray where it is kept.
+/* A ray as part of a path's state (kept.h).
  *
- *   RAY_OF(name, kept)    declares `name`, a pointer to a ray as the kept one is: to that one itself on CPUs
- *   keep_ray(kept, name)  keeps what it has become */
+ *   RAY_OF(name, kept)    declares `name`, a pointer to the kept ray, or to a copy of one in local memory
+ *   keep_ray(kept, name)  writes a changed ray back */
 #ifdef CLOUDTOMO_KEEPS_LOCAL
 typedef struct {
     KeptVector position, direction;
@@ -65,8 +65,8 @@ inline void keep_ray(KeptRay *kept, const Ray *ray)
 }
 #endif
 
-/* A walk along a ray, in plain numbers: compilers for CPUs keep vectors of three in memory, or
- * take them apart and together at every step. */
+/* A walk along a ray from voxel to voxel. It has single numbers in place of vectors: compilers for CPUs
+ * keep vectors of three in memory, or split and join them at every step. */
 typedef struct {
     float distance;                              /* km from the ray's start to where the current voxel begins */
     float next_x, next_y, next_z;                /* km from the ray's start to the next face, per axis */
@@ -91,7 +91,7 @@ inline int voxel_index(const __constant Scene *scene, int3 voxel)
     return (voxel.x * scene->shape[1] + voxel.y) * scene->shape[2] + voxel.z;
 }
 
-/* The position in the domain that a position in one of its periodic copies stands for. */
+/* The position in the domain for a position in one of its periodic copies. */
 inline float3 wrapped(const __constant Scene *scene, float3 position)
 {
     if (scene->periodic) {
@@ -101,7 +101,7 @@ inline float3 wrapped(const __constant Scene *scene, float3 position)
     return position;
 }
 
-/* Where along one axis a ray is between two faces: [*near, *far] in km. */
+/* Limits [*near, *far], km along a ray, to where it is between the domain's two faces across one axis. */
 inline void clip_axis(float position, float direction, float spacing, float count, float *near, float *far)
 {
     if (direction == 0.0f) {
@@ -116,8 +116,8 @@ inline void clip_axis(float position, float direction, float spacing, float coun
     *far = lesser(*far, greater(lower, upper));
 }
 
-/* Moves a ray that is not inside to where it enters the domain, `distance` km ahead; false if it
- * never does. */
+/* Moves a ray that is outside to where it enters the domain, and sets the `distance` to there, km; returns false
+ * if it never does. */
 inline bool enter_domain(const __constant Scene *scene, Ray *ray, float *distance)
 {
     const float3 spacing = grid_spacing(scene);
@@ -175,7 +175,7 @@ inline VoxelWalk walk_begin(const __constant Scene *scene, const Ray *ray)
     return walk;
 }
 
-/* The walk's voxel along an axis: it has `ahead` more before it. */
+/* The number of the walk's voxel along an axis, with `ahead` more voxels before it. */
 inline int voxel_of(int ahead, int stride, int count) { return stride > 0 ? count - 1 - ahead : ahead; }
 
 /* The voxel's number along z. */
@@ -193,7 +193,7 @@ inline int3 walk_voxel(const RARELY_READ __constant Scene *scene, const VoxelWal
 /* km from the ray's start to where it leaves the current voxel. */
 inline float walk_exit(const VoxelWalk *walk) { return lesser(walk->next_z, lesser(walk->next_x, walk->next_y)); }
 
-/* In a periodic domain: comes back in on the other side. */
+/* In a periodic domain: enters again on the opposite side. */
 inline void walk_wrap(const RARELY_READ __constant Scene *scene, VoxelWalk *walk)
 {
     if (walk->ahead_x < 0) {
@@ -206,7 +206,7 @@ inline void walk_wrap(const RARELY_READ __constant Scene *scene, VoxelWalk *walk
     }
 }
 
-/* To the next voxel; false if that leaves the domain. */
+/* Goes to the next voxel; returns false if that leaves the domain. */
 inline bool walk_advance(const RARELY_READ __constant Scene *scene, VoxelWalk *walk, float exit)
 {
     const bool z = walk->next_z == exit;
@@ -228,7 +228,7 @@ inline bool walk_advance(const RARELY_READ __constant Scene *scene, VoxelWalk *w
     return true;
 }
 
-/* The voxels along one axis that a ray has crossed where it is `exit` km from its start. */
+/* Skips the voxels along one axis that a ray has crossed where it is `exit` km from its start. */
 inline void skip_axis(float exit, float per_voxel, int stride, int most, float *next, int *ahead, int *index)
 {
     if (*next > exit)
@@ -240,7 +240,7 @@ inline void skip_axis(float exit, float per_voxel, int stride, int most, float *
     *index += crossed * stride;
 }
 
-/* Which block of 2^empty_shift voxels along each axis the walk is in, as an index. */
+/* The index of the walk's block, which has 2^empty_shift voxels along each axis. */
 inline int empty_block(const RARELY_READ __constant Scene *scene, const VoxelWalk *walk)
 {
     const int shift = scene->empty_shift;
@@ -252,22 +252,22 @@ inline int empty_block(const RARELY_READ __constant Scene *scene, const VoxelWal
     return (x * (((scene->shape[1] - 1) >> shift) + 1) + y) * (((scene->shape[2] - 1) >> shift) + 1) + z;
 }
 
-/* Voxels along an axis from the walk's to the last of so many blocks, its own the first of them. */
+/* Number of voxels along an axis ahead of the walk's, up to the end of `blocks` blocks; its block is the first. */
 inline int empty_side(const RARELY_READ __constant Scene *scene, int ahead, int stride, int count, int blocks)
 {
     const int last = (1 << scene->empty_shift) - 1;
     return ((blocks - 1) << scene->empty_shift) + ((voxel_of(ahead, stride, count) & last) ^ (stride > 0 ? last : 0));
 }
 
-/* From a block with nothing within `empty` blocks of it (itself included, along every axis) to where
- * the ray leaves that cube, or the domain: false then. */
+/* From a block with nothing within `empty` blocks (itself included, along every axis) goes to where the ray
+ * leaves that cube; or the domain: then returns false. */
 inline bool walk_skip(const RARELY_READ __constant Scene *scene, VoxelWalk *walk, int empty)
 {
     const bool periodic = scene->periodic;
     const int side_x = empty_side(scene, walk->ahead_x, walk->stride_x, scene->shape[0], empty);
     const int side_y = empty_side(scene, walk->ahead_y, walk->stride_y, scene->shape[1], empty);
     const int side_z = empty_side(scene, walk->ahead_z, walk->stride_z, scene->shape[2], empty);
-    /* A ray along an axis never meets the others' faces: no 0 * infinity. */
+    /* A ray along an axis never meets faces across the others: this avoids 0 * infinity. */
     const bool meets_x = walk->next_x != INFINITY, meets_y = walk->next_y != INFINITY,
                meets_z = walk->next_z != INFINITY;
     const float beyond = lesser(meets_z ? walk->next_z + (float)side_z * walk->per_voxel_z : INFINITY,
@@ -284,8 +284,8 @@ inline bool walk_skip(const RARELY_READ __constant Scene *scene, VoxelWalk *walk
             walk->ahead_z = -1;
         return false;
     }
-    /* Rounding must not carry it out; across a periodic side it may go, and the host has seen to it that
-     * `empty` is no more than the domain. */
+    /* Rounding must not take the walk out of the domain. It may cross a periodic side: the host has made sure that
+     * `empty` blocks are no longer than the domain. */
     const int most_x = periodic ? side_x + 1 : walk->ahead_x, most_y = periodic ? side_y + 1 : walk->ahead_y;
     skip_axis(exit, walk->per_voxel_x, walk->stride_x, most_x, &walk->next_x, &walk->ahead_x, &walk->index);
     skip_axis(exit, walk->per_voxel_y, walk->stride_y, most_y, &walk->next_y, &walk->ahead_y, &walk->index);
@@ -305,7 +305,7 @@ inline void move_to_walk(const RARELY_READ __constant Scene *scene, Ray *ray, co
         const float2 count = (float2)((float)scene->shape[0], (float)scene->shape[1]);
         position.xy -= count * rint((position.xy - corner.xy - 0.5f) / count);
     }
-    /* Rounding may put the point a hair outside of the voxel that the walk is in. */
+    /* Rounding may put the point slightly outside of the walk's voxel. */
     ray->position.x = within(position.x, corner.x, corner.x + 1.0f);
     ray->position.y = within(position.y, corner.y, corner.y + 1.0f);
     ray->position.z = within(position.z, corner.z, corner.z + 1.0f);

@@ -1,12 +1,12 @@
-/* Where a path's state is kept while it flies.
+/* Where the state of a path in flight is kept.
  *
- * On CPUs in variables like any other. NVIDIA's GPUs lack registers for it: there (CLOUDTOMO_KEEPS_LOCAL) it lies in
- * local memory, and is volatile, so that compilers do not load it ahead of the flights. What a work item keeps has an
- * odd number of words of 32 bits and nothing else, so that what the items of a group keep lies in different banks.
+ * On CPUs it is in ordinary variables. NVIDIA's GPUs lack registers for it: there (CLOUDTOMO_KEEPS_LOCAL) it lies in
+ * local memory, and is volatile, so that compilers do not load it before the flights. The state of a work item has an
+ * odd number of 32-bit words, so that the states of a group's items lie in different memory banks.
  *
- *   KEPT                         before the type of what is kept
- *   KEPT_FOR_ITEM(type, name)    declares `name`, a pointer to what this work item keeps; in a kernel, not in a branch
- *   KEPT_TOGETHER(...)           the same of three types and names, beside each other
+ *   KEPT                         qualifier of the state's type
+ *   KEPT_FOR_ITEM(type, name)    declares `name`, a pointer to this work item's state; in a kernel, not in a branch
+ *   KEPT_TOGETHER(...)           the same for three types and names, next to each other in memory
  */
 #ifndef CLOUDTOMO_KEPT_H
 #define CLOUDTOMO_KEPT_H

@@ -1,4 +1,4 @@
-/* What light meets: droplets and molecules, their phase functions, the surface, the sun. */
+/* The medium: droplets and molecules, their phase functions, the surface, the sun. */
 #ifndef CLOUDTOMO_MEDIUM_H
 #define CLOUDTOMO_MEDIUM_H
 
@@ -7,13 +7,13 @@
 
 typedef struct {
     const __constant Scene *scene;
-    const __global float *extinction; /* droplets, km^-1, [x][y][z] */
-    const __global float *table_row;  /* per voxel, a row of the phase table or between two */
-    const __global uchar *empty;      /* per block: how many blocks around hold nothing, see walk_skip */
-    const __global float *air;        /* molecules in the grid's layers, km^-1, [z] */
-    const __global float *level;      /* faces of all layers of air, km above the grid's lowest, [layer] */
-    const __global float *layer;      /* molecules in all layers of air, km^-1 */
-    const __global float *albedo;     /* of the phase table's rows */
+    const __global float *extinction; /* extinction of droplets, km^-1, [x][y][z] */
+    const __global float *table_row;  /* [voxel]: row of the phase table, or a place between two rows */
+    const __global uchar *empty;      /* [block]: how many blocks around it hold nothing, see walk_skip */
+    const __global float *air;        /* extinction of molecules in the grid's layers, km^-1, [z] */
+    const __global float *level;      /* heights of the faces of all layers of air, km above the grid's lowest face */
+    const __global float *layer;      /* extinction of molecules in all layers of air, km^-1 */
+    const __global float *albedo;     /* single-scattering albedo of the phase table's rows */
     PhaseTable table;
 } Medium;
 
@@ -37,7 +37,7 @@ inline Medium make_medium(MEDIUM_PARAMETERS)
     return medium;
 }
 
-/* A droplet is known by its row of the phase table (0 without a table), others by a name. */
+/* The number of a droplet is its row of the phase table (0 without a table); others have negative numbers. */
 typedef int Particle;
 #define PARTICLE_MOLECULE (-1)
 #define PARTICLE_SURFACE (-2)
@@ -56,11 +56,11 @@ inline float droplet_density(const Medium *medium, int row, float3 from, float3 
     return table_density(&medium->table, row, 0.25f * scalar_product(turn, turn));
 }
 
-/* The cosine of scattering by a droplet. */
+/* The cosine of a sampled scattering angle of a droplet. */
 inline float sample_droplet(const Medium *medium, int row, float u) { return sample_table(&medium->table, row, u); }
 
-/* The row of a droplet in a voxel, and its single-scattering albedo. Droplets between two rows of the phase
- * table are a mixture of both. */
+/* Chooses the row of a droplet in a voxel, and gives its single-scattering albedo. Droplets between two rows of
+ * the phase table are a mixture of both. */
 inline Particle choose_droplet(const Medium *medium, int index, float u_row, float *albedo)
 {
     int row = 0;
@@ -113,7 +113,7 @@ inline float3 sample_scatter(const Medium *medium, Particle particle, float3 fro
     }
 }
 
-/* Directions drawn around the sun: the droplets' own phase function, of its middle row. */
+/* The density (sr^-1) of directions drawn around the sun: the droplets' phase function, its middle row. */
 inline float sun_density(const Medium *medium, float3 to)
 {
     return droplet_density(medium, medium->scene->table_rows / 2, sun_direction(medium->scene), to);

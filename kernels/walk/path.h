@@ -1,36 +1,36 @@
 /* The random walk: flights, collisions and surfaces, one after the other.
  *
- * It knows nothing of what is computed. The including file defines, before it includes this, the struct
- * `Tally` and what happens at every step, as inline functions:
+ * The walk does not depend on the quantity that is computed. The including file defines, before it includes this, the
+ * struct `Tally` and what happens at every step, as inline functions:
  *
  *   Flight on_flight(medium, Ray *ray, const Segment *segment, tally)
- *       samples a free path: moves the ray as `fly` does (flight.h), or as a traversal of its own (traversal.h)
+ *       samples a free flight: moves the ray as `fly` does (flight.h), by that or another traversal (traversal.h)
  *   void on_leaving(medium, const Segment *segment, const Flight *flight, const Ray *ray, Termination termination,
  *                   bool ends, tally)
- *       the path has left all that scatters, at `ray`; it ends there, or goes on to the surface
+ *       the path has left everything that scatters, at `ray`; it ends there, or goes on to the surface
  *   void on_interaction(medium, const Segment *segment, const Flight *flight, const Interaction *at, tally)
  *       the segment ends in a collision, or at the surface
  *   void on_scattering(medium, const Interaction *at, const SampleKey *key, tally)
  *       the path goes on from there, in at->new_direction
  *   void on_absorption(medium, const Interaction *at, float weight, tally)
- *       what the path's throughput has lost there
+ *       the path's throughput has been reduced by `weight`
  *   void on_roulette(float throughput, float raised, bool survives, tally)
- *       between a throughput of `raised`, and the path's end
+ *       a roulette has raised the throughput to `raised`, or ends the path
  *   void on_termination(Termination termination, float throughput, tally)
- *       the path's end, with what is left of its throughput
+ *       the path ends with the given throughput
  *
  * radiance.h defines the first four for paths from cameras, flux.cl all for photons from the sun; unbudgeted.h
- * has the last three empty. Radiances inside a path are for a sun of irradiance 1; the host scales them.
+ * has empty ones of the last three. Radiances inside a path are for a sun of irradiance 1; the host scales them.
  */
 #ifndef CLOUDTOMO_PATH_H
 #define CLOUDTOMO_PATH_H
 
 #include "walk/event.h"
 
-/* Paths of less throughput are continued with probability throughput / PATH_ROULETTE_THROUGHPUT. */
+/* Paths of smaller throughput go on with the probability throughput / PATH_ROULETTE_THROUGHPUT. */
 #define PATH_ROULETTE_THROUGHPUT 0.1f
 
-/* Whether a ray that has left all that scatters goes down to a surface that reflects. */
+/* Whether a ray that has left everything that scatters goes down to a surface that reflects. */
 inline bool meets_surface(const __constant Scene *scene, const Ray *ray)
 {
     return scene->surface_albedo > 0.0f && ray->direction.z < 0.0f && !ray->inside;
@@ -44,7 +44,7 @@ inline void move_to_surface(const __constant Scene *scene, Ray *ray)
     ray->position.z = -scene->base_height / spacing.z;
 }
 
-/* How a path ends that meets nothing any more. */
+/* How a path ends whose flight has ended without a collision. */
 inline Termination termination_of(const __constant Scene *scene, const Ray *ray, const Flight *flight)
 {
     if (flight->lost)
@@ -54,8 +54,8 @@ inline Termination termination_of(const __constant Scene *scene, const Ray *ray,
     return ray->direction.z > 0.0f ? TERMINATION_TOP : TERMINATION_BOTTOM;
 }
 
-/* Walks a path on from `at`, its last interaction, to the next; false if it has come to its end. Of `at` count the ray
- * along which the path is to go on, the throughput, and the number of the segment that begins there. */
+/* Walks a path from `at`, its last interaction, to the next; returns false if the path has ended. Of `at` it reads the
+ * ray along which the path goes on, the throughput, and the number of the segment that begins there. */
 inline bool walk_event(const Medium *medium, KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally)
 {
     const __constant Scene *scene = medium->scene;
@@ -104,14 +104,14 @@ inline bool walk_event(const Medium *medium, KEPT Interaction *at, const KEPT Sa
     return true;
 }
 
-/* Walks a path on to its end. */
+/* Walks a path from an interaction to its end. */
 inline void walk_on(const Medium *medium, KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally)
 {
     while (walk_event(medium, at, key, tally)) {
     }
 }
 
-/* Where a whole path begins: with its first ray. */
+/* Makes `at` the start of a whole path, with its first ray. */
 inline void start_path(KEPT Interaction *at, Ray first_ray)
 {
     keep_ray(&at->ray, &first_ray);

@@ -18,7 +18,7 @@ inline float henyey_greenstein(float cosine, float g)
     return 0.25f * ONE_OVER_PI * (1.0f - g * g) / (base * square_root(base));
 }
 
-/* The inverse of its distribution function, for g of either sign and 0. */
+/* The cosine by the inverse of the cumulative distribution, for g of either sign and 0. */
 inline float sample_henyey_greenstein(float u, float g)
 {
     const float ratio = (1.0f - g) / (1.0f - g + 2.0f * g * u);
@@ -34,7 +34,7 @@ inline float double_henyey_greenstein(float cosine, float forward_g, float backw
     return density;
 }
 
-/* u chooses the lobe, and what is left of it the cosine. */
+/* u chooses the lobe; rescaled to the lobe's share it gives the cosine. */
 inline float sample_double_henyey_greenstein(float u, float forward_g, float backward_g, float forward_fraction)
 {
     const float backward = 1.0f - forward_fraction;
@@ -59,7 +59,7 @@ inline float sample_rayleigh(float u)
 typedef struct {
     const __global float *node;       /* s, from 0 to 1 */
     const __global float *density;    /* sr^-1, [row][node] */
-    const __global float *cumulative; /* share of the light scattered within s, [row][node] */
+    const __global float *cumulative; /* share of the light scattered at less than s, [row][node] */
     int nodes;
 } PhaseTable;
 
@@ -85,7 +85,7 @@ inline float table_density(const PhaseTable *table, int row, float s)
     return mix(density[j], density[j + 1], within(part, 0.0f, 1.0f));
 }
 
-/* The inverse of its distribution function: the cosine grows with u. */
+/* The cosine by the inverse of the cumulative distribution; it grows with u. */
 inline float sample_table(const PhaseTable *table, int row, float u)
 {
     const __global float *cumulative = table->cumulative + row * table->nodes;

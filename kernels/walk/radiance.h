@@ -1,28 +1,28 @@
 /* Radiance by paths from the cameras (backward Monte Carlo): every interaction adds a local estimate of the
- * sunlight, and side flights add the next order's.
+ * sunlight, and side flights add the local estimates of the next order of scattering.
  *
  * The including file defines, before it includes this, the struct `Tally` with at least
  *
- *   float radiance;   local estimates so far, sr^-1; starts as 0
- *   float own_share;  the path's part in its next collision's estimate; starts as 1
+ *   float radiance;   sum of the local estimates so far, sr^-1; starts as 0
+ *   float own_share;  share of the path itself in the local estimate at its next collision; starts as 1
  *
- * and what is done with the pieces of a path, as inline functions:
+ * and inline functions that are called with the pieces of a path:
  *
  *   Flight tally_fly(medium, Ray *ray, const Segment *segment, tally)
- *       as on_flight of path.h; tally->radiance is what the path has gathered before
+ *       as on_flight of path.h; tally->radiance is the sum before this flight
  *   void tally_segment(medium, const Segment *segment, const Flight *flight, Particle end, float share,
  *                      float local_radiance, tally)
- *       the end of one of the path's own flights, in `end` (PARTICLE_NONE: it left). `local_radiance` is the
- *       local estimate there (sr^-1), which is in tally->radiance by now; of a collision's estimate the segment
- *       has the part `share`, the rest is the side flights'. Called after tally_shadow_ray
+ *       a flight of the path itself has ended, in `end` (PARTICLE_NONE: it left). `local_radiance` is the local
+ *       estimate there (sr^-1), which tally->radiance already includes; at a collision it has been multiplied by
+ *       the flight's `share`, and side flights have the rest. Called after tally_shadow_ray
  *   void tally_side_flight(medium, const Segment *segment, const Flight *flight, Particle end, float share,
  *                          float local_radiance, tally)
- *       the same of a side flight; its local estimate is not yet in tally->radiance. Called before tally_shadow_ray
+ *       the same for a side flight; its local estimate is not yet in tally->radiance. Called before tally_shadow_ray
  *   void tally_shadow_ray(medium, const Ray *from, const LocalEstimate *estimate, tally)
  *       a local estimate has been made
  *
- * and on_absorption, on_roulette and on_termination of path.h. A tally that flies a segment again, to leave
- * something behind where it crosses, does so by a traversal of its own (traversal.h).
+ * and on_absorption, on_roulette and on_termination of path.h. A tally that flies a segment again, to deposit
+ * something in the voxels that it crosses, defines a traversal for that (traversal.h).
  */
 #ifndef CLOUDTOMO_RADIANCE_H
 #define CLOUDTOMO_RADIANCE_H
@@ -39,9 +39,9 @@
 #define LOCAL_ESTIMATE_ROULETTE 0.03f
 
 /* Side flights: from a collision, flights in directions drawn around the sun estimate the
- * next order's sunlight, combined with the path's own next collision by the balance heuristic
- * (Veach and Guibas 1995); they take the load of the rare, huge local estimates that a
- * forward peak gives. `count` is their expected number; this is the one of number n. */
+ * next order's sunlight, combined with the path's next collision by the balance heuristic (Veach and
+ * Guibas 1995). They replace the rare, huge local estimates that a forward peak gives. `count` is their
+ * expected number; this is the one of number n. */
 inline void side_flight(const Medium *medium, const KEPT Interaction *at, float count, uint n,
                         const KEPT SampleKey *key, Tally *tally)
 {
@@ -101,7 +101,7 @@ inline void on_interaction(const Medium *medium, const Segment *segment, const F
     const float share = tally->own_share;
     const float weight = (on_surface ? 1.0f : share) * at->throughput
                          * scatter_density(medium, at->particle, kept_vector(&at->ray.direction), sun_direction(scene));
-    /* What a camera sees directly, and the ground, stay free of the roulette's noise. */
+    /* The roulette must not add noise to light that a camera sees directly, nor to the ground. */
     const bool plays = scene->side_flights && at->event > 1u && !on_surface;
     RAY_OF(ray, &at->ray);
     const LocalEstimate estimate =

@@ -1,4 +1,4 @@
-/* Uniform numbers as a function of what a sample is, never of where it runs.
+/* Uniform random numbers as a function of a sample's identity, not of the device or order of computation.
  *
  * Philox4x32-10 (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3"),
  * key = (seed, stream), counter = (pixel, view, sample, block): every block of four
@@ -34,18 +34,19 @@ inline void keep_key(KEPT SampleKey *kept, const SampleKey *key)
     kept->sample = key->sample;
 }
 
-/* Of a sample of a camera's pixel (view, row * width + column). */
+/* The key of a sample of a camera's pixel (view, row * width + column). */
 inline SampleKey sample_key(uint seed, uint stream, uint2 pixel, uint sample)
 {
     const SampleKey key = {seed, stream, pixel.y, pixel.x, sample};
     return key;
 }
 
-/* The view of the photons that start in the sun. */
+/* The view number of photons that start in the sun's view, for fluxes. */
 #define SUN_VIEW 0xFFFFFFFFu
-/* Paths that belong to a camera's path draw from views of their own: added to the camera's view, of which there
- * are fewer. The virtual collisions of a path, the path from one of them, and those that find path lengths.
- * Photons of the radiance table have one for all, or two where they start with the light of a path. */
+/* Other random numbers have view numbers that no camera has. For those that belong to a camera's path the number is
+ * added to the camera's view number, which is smaller: a path's virtual collisions, the path from one of them, and
+ * paths that find path lengths. Photons of the radiance table have one number, or two where they start with the light
+ * of a path: one for that path, one for the photon. */
 #define VIRTUAL_COLLISIONS_VIEW 0x80000000u
 #define VIRTUAL_PATHS_VIEW 0x40000000u
 #define PATH_LENGTHS_VIEW 0x20000000u
@@ -68,7 +69,7 @@ inline float open_uniform(uint bits)
     return scaled < 0.99999994f ? scaled : 0.99999994f;
 }
 
-/* Philox4x32-10 as a loop: of rounds in a row compilers for GPUs keep the keys, twenty numbers, in registers. */
+/* Philox4x32-10 as a loop: from unrolled rounds compilers for GPUs keep all keys, twenty numbers, in registers. */
 inline philox4x32_ctr_t philox_rounds(philox4x32_ctr_t c, philox4x32_key_t k)
 {
     const uint first = 0xD2511F53u, second = 0xCD9E8D57u; /* multipliers; below the keys' steps (Salmon et al.) */
@@ -93,7 +94,7 @@ inline float4 uniforms(const SampleKey *key, uint block)
     return (float4)(open_uniform(r.v[0]), open_uniform(r.v[1]), open_uniform(r.v[2]), open_uniform(r.v[3]));
 }
 
-/* Of an event of a path whose key is kept. */
+/* The uniform numbers of an event of a path whose key is kept (kept.h). */
 inline float4 event_uniforms(const KEPT SampleKey *key, uint event, uint block)
 {
     const SampleKey own = kept_key(key);

@@ -1,21 +1,21 @@
-/* A free flight along a ray, and what is done on its way: a template, which every file that includes it makes
- * a function of (so there is no include guard). It takes, and undefines:
+/* A template for functions that fly freely along a ray and do something on the way; every including file makes one,
+ * so there is no include guard. It takes these macros, and undefines them:
  *
  *   TRAVERSAL            the function's name
- *   TRAVERSAL_CONTEXT    its last parameters, each after a comma; may be empty. What is done sees them, and the
- *                        function's own variables: their names must differ
- *   CROSSES(index, length)   done when it crosses `length` km of the voxel `index`, up to a collision
+ *   TRAVERSAL_CONTEXT    its last parameters, each after a comma; may be empty. CROSSES can use them, and the
+ *                        function's local variables: their names must differ
+ *   CROSSES(index, length)   statement for each crossing of `length` km of the voxel `index`, up to a collision
  *
- * Through a cube of empty blocks it goes in one step (walk_skip), which crosses nothing.
+ * It crosses a cube of empty blocks in one step (walk_skip), without CROSSES.
  *
- * The function flies along the ray until it has crossed the optical depth `optical_depth` (a collision) or left all
- * that scatters; it moves the ray there.
+ * The function flies along the ray up to the optical depth `optical_depth` (a collision), or until it has left
+ * everything that scatters; it moves the ray there.
  */
 LARGE_FUNCTION Flight TRAVERSAL(const Medium *medium, Ray *ray, float optical_depth TRAVERSAL_CONTEXT)
 {
     const __constant Scene *scene = medium->scene;
     Flight flight = {false, false, false, false, 0.0f, 0.0f, 0.0f, -1};
-    bool beside_empty = false; /* skipping may begin here: the voxel before, or what is around the grid, is empty */
+    bool beside_empty = false; /* skipping may begin: the voxel before, or the grid's surroundings, are empty */
     if (!ray->inside) {
         Ray entered = *ray;
         float distance;

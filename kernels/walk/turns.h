@@ -1,12 +1,13 @@
 /* Which paths a work item walks.
  *
- * On CPUs one. On GPUs work items go in step, and where a path has ended its lane would wait for the longest of its
- * neighbours. There (CLOUDTOMO_REGENERATES) a work group has `turns` times as many paths as work items, and a work item
- * whose path has ended takes the next that none has taken. Which one takes it is chance, and nothing depends on that.
+ * On CPUs it walks one path. On GPUs work items run in lockstep, and after its path a work item would wait for the
+ * longest path of its neighbours. There (CLOUDTOMO_REGENERATES) a work group has `turns` times as many paths as work
+ * items, and a work item whose path has ended takes the next free path. Which work item takes which path is random, but
+ * no result depends on it.
  *
  *   TURNS(name, end)    declares the turns of a kernel whose paths are the items below `end`; not in a branch
- *   next_turn(&name)    whether there is another path to walk: that of name.item
- *   REGENERATES         whether it is looked for another path after every event
+ *   next_turn(&name)    takes another path, name.item; false if there is none
+ *   REGENERATES         whether a work item looks for another path after every event, not only after its path
  */
 #ifndef CLOUDTOMO_TURNS_H
 #define CLOUDTOMO_TURNS_H
@@ -14,8 +15,8 @@
 #ifdef CLOUDTOMO_REGENERATES
 #define REGENERATES true
 typedef struct {
-    volatile __local uint *taken; /* by the group so far */
-    uint first, end;              /* the group's items */
+    volatile __local uint *taken; /* number of paths that the group has taken so far */
+    uint first, end;              /* range of the group's paths */
     uint item;
 } Turns;
 

@@ -1,4 +1,4 @@
-/* For tallies that keep no energy budget: a path that is replayed has gone through the audit before. */
+/* For tallies without an energy budget, for instance replayed paths, which the audit has checked before. */
 #ifndef CLOUDTOMO_UNBUDGETED_H
 #define CLOUDTOMO_UNBUDGETED_H
 

@@ -1,4 +1,4 @@
-/* For tallies of radiance.h that leave nothing behind along a path's flights. */
+/* For tallies of radiance.h that deposit nothing along a path's flights. */
 #ifndef CLOUDTOMO_UNTALLIED_H
 #define CLOUDTOMO_UNTALLIED_H
 

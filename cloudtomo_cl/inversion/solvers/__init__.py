@@ -1,1 +1,1 @@
-"""The solvers: each a few functions of a problem and a state."""
+"""The solvers: each consists of a few functions of a problem and a state."""

@@ -1,4 +1,4 @@
-"""Which solver: the three of this package, told apart by `type`."""
+"""The choice among the three solvers of this package, by their `type`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 
 
 def of_default_type(name: str) -> BeforeValidator:
-    """Takes a table without a type for one of this type."""
+    """A validator that takes a table without a type for one of the type `name`."""
 
     def with_type(table: Any) -> Any:
         return {"type": name, **table} if isinstance(table, dict) and "type" not in table else table
@@ -20,5 +20,5 @@ def of_default_type(name: str) -> BeforeValidator:
 
 
 AnySolver = GaussNewton | Adam | SGD
-# As a table of the settings.
+# A solver as a table of the settings.
 SolverTable = Annotated[Annotated[AnySolver, Field(discriminator="type")], of_default_type("gauss-newton")]

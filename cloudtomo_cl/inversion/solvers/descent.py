@@ -30,17 +30,17 @@ Decay = Annotated[float, Field(ge=0, lt=1)]
 
 @plain_dataclass(frozen=True, eq=False)
 class DescentState:
-    """Where a descent stands. Arrays without another unit: float32, shape (voxels,).
+    """The state of a descent. Arrays are float32, shape (voxels,).
 
     Attributes
     ----------
-    extinction : km^-1
-    before : the extinction before the last step, km^-1
+    extinction : extinction of the mask's voxels, km^-1
+    before : extinction before the last step, km^-1
     estimate : running mean of the extinction, km^-1
-    first_moment, second_moment : of the gradient; Adam's only
-    steps : done so far
-    image : the averaged modelled image
-    by_table : gradients by the radiance table; none with replay. It keeps nothing
+    first_moment, second_moment : running means of the gradient and of its square, used by Adam alone
+    steps : number of steps done so far
+    image : modelled image, averaged over iterations
+    by_table : gradients by the radiance table, which carry nothing from step to step; None with replay
     """
 
     extinction: np.ndarray
@@ -56,26 +56,26 @@ class DescentState:
 @answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class _Descent:
-    """What both descents have.
+    """The settings and steps that both descents share.
 
     Attributes
     ----------
-    iterations : on the finest of the automatic stages, at most; by default 600. A run that has done them goes on with
-        more by `--resume`, unless its cost has settled
+    iterations : largest number of iterations on the finest of the automatic stages; by default 600. A run that has done
+        them goes on with more by `--resume`, unless its cost has settled
     start : extinction inside the mask before the first stage, km^-1
-    floor : least extinction inside the mask, km^-1; the gradients need none, but by its square root a voxel would stay
-        at 0
+    floor : least extinction inside the mask, km^-1. Gradients do not need it, but a descent in the square root cannot
+        leave 0
     gradient : "adjoint", by the radiance that all paths together find in a voxel (little noise, no 1 / extinction),
-        or "replay", the unbiased one of each path by itself
+        or "replay", by each path alone (without bias)
     parametrisation : descend in the "extinction" (km^-1), or in its "square-root" (km^-1/2), in which thin voxels
         take smaller steps
     step_size : length of a step in the parametrisation (Adam); factor of the gradient (SGD)
     step_half_life : iterations of a stage after which the step is half of what it began with
         (step_size / (1 + iteration / step_half_life)); none: constant
-    iterate_average_window : the estimate is a running mean of the extinction over about so many iterations
-    image_average_window : iterations over which modelled images are averaged into the residual; 1 is the residual of
-        crossed halves. With gradient "adjoint" the images are carried along with the extinction; with "replay" they
-        lag behind, and 20 is better
+    iterate_average_window : approximate number of iterations in the running mean of the extinction, the estimate
+    image_average_window : number of iterations over which modelled images are averaged for the residual; 1: each half
+        of an iteration's paths is used with the other half's residual. With gradient "adjoint" the images are carried
+        along with the extinction; with "replay" they lag behind, and 20 is better
     """
 
     iterations: Count | None = None
@@ -89,23 +89,23 @@ class _Descent:
     image_average_window: Count = 100
 
     def stage_limits(self, last: bool) -> tuple[int, int]:
-        """Iterations and window of an automatic stage.
+        """Largest number of iterations, and window, of an automatic stage.
 
-        The last one has the details to find, which show little in the cost: it is not given up early.
+        The last stage has to find details, which change the cost little: it does not end early.
         """
         return (self.iterations or 600, 200) if last else (100, 20)
 
     def footprint(self, pixels: int, voxels: int, longest: int, entries: int) -> Footprint:
-        """What moments and table take."""
-        own = Footprint(20 * voxels, 4 * voxels, 24 * voxels)
-        return own + table_footprint(voxels) if self.gradient == "adjoint" else own
+        """Memory of the step's arrays and the radiance table."""
+        arrays = Footprint(20 * voxels, 4 * voxels, 24 * voxels)
+        return arrays + table_footprint(voxels) if self.gradient == "adjoint" else arrays
 
     def deep_growth(self, voxels: int) -> Footprint:
-        """What it takes beyond its footprint, at most, if the voxels are deep."""
+        """Memory beyond the footprint, at most, if the voxels are optically deep."""
         return table_growth(voxels) if self.gradient == "adjoint" else Footprint()
 
     def init(self, problem: Problem, extinction: np.ndarray) -> DescentState:
-        """Before the first iteration; see `Solver`."""
+        """The state before the first iteration; see `Solver`."""
         start = np.maximum(np.asarray(extinction, np.float32), np.float32(self.floor))
         nothing = np.zeros_like(start)
         image = AveragedImage.empty(len(problem.active))
@@ -132,7 +132,7 @@ class _Descent:
         image = state.image.with_halves(rendering.halves, window)
         if change is not None:
             image = image.moved(change, window)
-        # As in the first step of a stage: a prior that is known more sharply is too stiff for steps along a gradient.
+        # Iteration 0 always: later in a stage the patch prior is sharper, too stiff for steps along a gradient.
         prior, prior_gradient = problem.prior.frozen(state.extinction, 0).value_and_gradient(
             state.extinction, problem.units(image.noise(problem.weights))
         )
@@ -144,7 +144,7 @@ class _Descent:
     def _gradient(
         self, problem: Problem, state: DescentState, rendering: Rendering, adjoint: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Of the data term, and what the last step changed radiances by, if the table tells."""
+        """The data term's gradient, and the change of radiances by the last step; None with replay."""
         if state.by_table is None:
             return problem.operator.gradient(rendering, adjoint).get()[problem.mask], None
         change = problem.operator.device.array(problem.on_grid(state.extinction - state.before))
@@ -153,7 +153,7 @@ class _Descent:
 
     @device_errors("the descent's step")
     def moved(self, state: DescentState, gradient: np.ndarray, device: Device) -> DescentState:
-        """One step against a gradient, cost per km^-1."""
+        """The state after a step against a gradient, cost per km^-1, shape (voxels,)."""
         length = self.step_length(state.steps)
         steps = state.steps + 1
         arrays = [
@@ -187,7 +187,7 @@ class _Descent:
         )
 
     def step_length(self, steps: int) -> float:
-        """Of the step after so many others."""
+        """The length of the step that follows `steps` others."""
         return self.step_size / (1 + steps / self.step_half_life) if self.step_half_life else self.step_size
 
     @property
@@ -205,7 +205,7 @@ class Adam(_Descent):
 
     Attributes
     ----------
-    beta1, beta2 : decay of the gradient's first and second moment
+    beta1, beta2 : decay rates of the gradient's first and second moment
     """
 
     type: Literal["adam"] = "adam"

@@ -1,4 +1,4 @@
-"""Gauss-Newton iterations: the misfit with the derivatives of all pixels, and the prior, minimised."""
+"""Gauss-Newton: each iteration minimises a linear model of all pixels, with the prior."""
 
 from __future__ import annotations
 
@@ -39,37 +39,38 @@ from cloudtomo_cl.transport.radiance_table import table_footprint, table_growth
 from cloudtomo_cl.transport.rendering import Rendering, pooled
 
 _LOGGER = logging.getLogger(__name__)
-# Misfit, in that of noise alone, from which on derivatives are taken at their word: steps may then be annealed.
+# Largest misfit, as a multiple of that by noise alone, at which the model fits the images: then steps may be annealed.
 _FITTING = 2.5
-# A step's largest change of a voxel upwards: by this optical depth along a mean chord, or by this factor.
+# A step's largest increase of a voxel: by this optical depth along a mean chord, or by this factor.
 _TRUSTED_DEPTH, _TRUSTED_GROWTH = 1 / 3, 1.3
-# What noise of a rendering may be of the misfit, or of the measured images' noise, without more paths for the images.
+# Shares of the misfit, and of the measured images' noise, up to which a rendering's noise needs no further paths.
 _NOISE_OF_MISFIT, _NOISE_OF_MEASURED = 0.1, 2.0
-# Paths of an iteration, times those by default, at most.
+# Largest number of paths of an iteration, as a multiple of the default.
 _MOST_PATHS = 1000
 
 
 @plain_dataclass(frozen=True, eq=False)
 class GaussNewtonState:
-    """Where the iterations stand.
+    """The state of the iterations.
 
-    The images of all iterations are kept as one: their mean is carried along with the extinction by the derivatives,
-    and every iteration's own paths are averaged into it, so that noise falls while the steps get smaller. Derivatives
-    are a tail average, over the later half of the iterations: their noise alone would let them fit noise of the images.
-    So the extinction is made of many iterations' paths, and is the estimate.
+    The images of all iterations are kept as one mean: the derivatives carry it along with the extinction, and every
+    iteration's new paths are averaged into it, so that its noise falls while the steps get smaller. Derivatives are
+    averaged over the later half of the iterations (a tail average): those of one iteration are so noisy that they would
+    fit noise of the images. So many iterations' paths determine the extinction, which is the estimate.
 
     Attributes
     ----------
-    extinction : km^-1, shape (voxels,)
-    image, variance : of the averaged modelled image, W m^-2 sr^-1 and its square, shape (pixels,)
-    iterations : done so far
-    fitted : of these, how many began where the model fitted the images
-    misfit : mean square of the images' residuals where the last one began, in that of noise alone
-    mass_share : of the prior's pull on the mass, which steps take back (`mass`)
-    motions : of the views, shape (views, 3), as the next iteration renders them (`scene.pointing`)
-    streams, extinctions, view_motions : of the iterations whose derivatives are averaged: of random numbers, shape
-        (iterations,); where they were made, km^-1, (iterations, voxels); and how views stood, (iterations, views, 3)
-    derivatives : their average; made again from the above after a resume
+    extinction : extinction of the mask's voxels, km^-1, shape (voxels,)
+    image, variance : averaged modelled image, W m^-2 sr^-1, and its noise's variance, (W m^-2 sr^-1)^2, shape (pixels,)
+    iterations : number of iterations done so far
+    fitted : number of these that began where the model fitted the images
+    misfit : mean square of the images' residuals at the start of the last iteration, over that of noise alone
+    mass_share : share of the prior's pull on the mass that steps take back (mass.py)
+    motions : motions of the views (`scene.pointing`) with which the next iteration renders, shape (views, 3)
+    streams : streams of random numbers of the iterations so far, shape (iterations,)
+    extinctions : extinctions that they rendered, km^-1, shape (iterations, voxels)
+    view_motions : motions of the views with which they rendered, shape (iterations, views, 3)
+    derivatives : average of their derivatives; computed again from the three arrays above after a resume
     """
 
     extinction: np.ndarray
@@ -87,36 +88,36 @@ class GaussNewtonState:
 
     @property
     def estimate(self) -> np.ndarray:
-        """What is recovered: the extinction."""
+        """The recovered extinction, km^-1, shape (voxels,)."""
         return self.extinction
 
     def modelled_noise(self, problem: Problem) -> float:
-        """What noise of the modelled image adds to the data term."""
+        """The part of the data term that the modelled image's noise adds."""
         return noise_of(self.variance, problem.weights)
 
 
 @answering
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class GaussNewton:
-    """Renders at an extinction, takes the derivatives of all pixels there, and minimises the model they give.
+    """Renders an extinction, takes the derivatives of all pixels there, and minimises the linear model that they give.
 
-    Source: Gauss-Newton with bounds (Nocedal and Wright 2006, section 10.3), inner minimisation by conjugate gradients
-    whose steps are put onto the bounds (`conjugate_gradients.minimised`).
+    Source: Gauss-Newton with bounds (Nocedal and Wright 2006, section 10.3); the inner minimisation is by conjugate
+    gradients whose steps are projected onto the bounds (`conjugate_gradients.minimised`).
 
     Attributes
     ----------
-    iterations : on the finest of the automatic stages, at most; by default 30. A run that has done them goes on with
-        more by `--resume`, unless its cost has settled
+    iterations : largest number of iterations on the finest of the automatic stages; by default 30. A run that has done
+        them goes on with more by `--resume`, unless its cost has settled
     start : extinction inside the mask before the first stage, km^-1; by default an optical depth of 1 along a mean
-        chord of the box around the mask
-    paths : of an iteration, times those by default (90 for the derivatives for each voxel that may hold cloud, but no
-        more than 180 for each pixel): with more of them noise is less, and the minimum that is found better; in stages
-        without `samples` of their own
-    image_samples : paths for the images, times those for the derivatives, at most: fewer where their noise is small
-        beside the misfit or the measured images' noise
-    damping : of the first steps, in shares of the data term's own curvature; it halves from step to step, down to
-        a tenth
-    inner_iterations : of the minimisation of the quadratic model, at most
+        chord of the box around the mask, halved as long as images of a uniform cloud then fit better
+    paths : number of paths of an iteration, as a multiple of the default (for the derivatives 90 for each voxel that
+        may hold cloud, but no more than 180 for each pixel): with more paths noise is less, and the minimum that is
+        found better. It holds for stages that do not set `samples`
+    image_samples : largest number of further paths for the images, as a multiple of those for the derivatives: fewer
+        are taken where their noise is small beside the misfit or the measured images' noise
+    damping : damping of a stage's first step, as a share of the data term's curvature; it halves from step to step,
+        down to a tenth
+    inner_iterations : largest number of iterations of the minimisation of the quadratic model
     """
 
     type: Literal["gauss-newton"] = "gauss-newton"
@@ -128,23 +129,25 @@ class GaussNewton:
     inner_iterations: Count = 40
 
     def stage_limits(self, last: bool) -> tuple[int, int]:
-        """Iterations and window of an automatic stage."""
+        """Largest number of iterations, and window, of an automatic stage."""
         return (self.iterations or 30, 30) if last else (4, 20)
 
     def footprint(self, pixels: int, voxels: int, longest: int, entries: int) -> Footprint:
-        """What derivatives, table and prior take, of a grid with so many voxels along its longest axis.
+        """Memory of the derivatives, the radiance table and the prior.
 
-        entries : of the Jacobian's near field
+        pixels, voxels : numbers of active pixels and of voxels in the mask
+        longest : voxels along the grid's longest axis
+        entries : number of entries of the Jacobian's near field
         """
         derivatives = jacobian_footprint(pixels, voxels, longest, entries)
         return table_footprint(voxels) + derivatives + stencil_footprint(voxels)
 
     def deep_growth(self, voxels: int) -> Footprint:
-        """What it takes beyond its footprint, at most, if the voxels are deep."""
+        """Memory beyond the footprint, at most, if the voxels are optically deep."""
         return table_growth(voxels)
 
     def init(self, problem: Problem, extinction: np.ndarray) -> GaussNewtonState:
-        """Before the first iteration; see `Solver`."""
+        """The state before the first iteration; see `Solver`."""
         start = np.array(extinction, float)
         pixels, voxels = len(problem.active), len(start)
         nothing, none = np.zeros(pixels), np.zeros((0, voxels), np.float32)
@@ -183,15 +186,15 @@ class GaussNewton:
         return state, Progress(cost, error, prior, rendering.samples * len(problem.active))
 
     def _sampled(self, problem: Problem) -> Problem:
-        """The problem, that says how many paths a pixel derivatives are made of."""
+        """The problem with the number of paths per pixel for derivatives filled in."""
         if problem.samples is not None:
             return problem
         return replace(problem, samples=max(2, 2 * round(self.paths * problem.default_samples / 2)))
 
     def _times_more(self, problem: Problem, state: GaussNewtonState, first: Rendering) -> int:
-        """How many times as many paths as derivatives are made of the images have beside them.
+        """The number of further paths for the images, as a multiple of the paths for the derivatives.
 
-        No more than it takes for their noise to be small beside the misfit, or beside that of the measured images.
+        It is no more than it takes for their noise to be small beside the misfit or beside the measured images' noise.
         """
         cost, error = _cost(problem, first.halves, state)
         measured = noise_of(problem.active.variance, problem.weights)
@@ -204,9 +207,9 @@ class GaussNewton:
     def _minimised(
         self, problem: Problem, state: GaussNewtonState, seed: int, stream: int
     ) -> tuple[float, GaussNewtonState]:
-        """The state at the minimum of the model: residuals and their derivatives, prior, and a damping of the step.
+        """The prior's value at the start, and the state at the minimum of the model.
 
-        And the prior's value where it begins.
+        The model has the residuals and their derivatives, the prior, and a damping of the step.
         """
         assert state.derivatives is not None
         jacobian, weights = state.derivatives.jacobian, problem.weights
@@ -214,7 +217,7 @@ class GaussNewton:
         check_gradient(curvature, problem, stream)
         misfit = _misfit(problem, state)
         unexplained = problem.active.calibration.unexplained(misfit, state.image)
-        # While the cloud is wrong, gains and motions of the views must not explain what it does not.
+        # While the cloud is still wrong, gains and motions of the views must not explain its residuals.
         calibration = problem.active.calibration.in_unit(max(problem.active.unit, unexplained))
         damping = self.damping * max(0.5 ** (state.iterations - 1), 0.1)
         device = problem.operator.device
@@ -225,7 +228,7 @@ class GaussNewton:
         fits = unexplained <= _FITTING * units.both
         state = replace(state, fitted=state.fitted + fits, misfit=unexplained / units.both)
         if fits:
-            # What the images say of deep clouds is off by more than noise, and the prior counts for the more.
+            # For deep clouds the model's errors exceed the noise, so that the prior gets a larger weight.
             depth = mean_extinction(state.extinction) * problem.grid.mean_chord
             units = replace(units, weight=units.weight * float(beyond_noise(depth)))
         anneals = fits and getattr(problem.prior, "chooses", False)
@@ -251,7 +254,7 @@ class GaussNewton:
 
     @with_one_blas_thread
     def standard_error(self, problem: Problem, state: GaussNewtonState, draws: int, seed: int) -> np.ndarray | None:
-        """Of the estimate, by so many draws from the last linear model, widened, km^-1, shape (voxels,).
+        """Standard error of the estimate, km^-1, shape (voxels,): by draws from the last linear model, widened.
 
         None if the images' noise is not known, or before the first iteration.
         """
@@ -266,7 +269,7 @@ class GaussNewton:
 def _with_more_paths(
     problem: Problem, first: Rendering, more: int, extinction: np.ndarray, seed: int, stream: int
 ) -> Rendering:
-    """The rendering that derivatives were made of, with more paths a pixel for the images."""
+    """The rendering for the derivatives, pooled with `more` further paths per pixel for the images."""
     if not more:
         return first
     values = problem.on_grid(extinction)
@@ -274,24 +277,24 @@ def _with_more_paths(
 
 
 def trusted(extinction: np.ndarray, grid: Grid) -> np.ndarray:
-    """How far up a step may go, km^-1, shape (voxels,).
+    """The upper bound of a step, km^-1, shape (voxels,).
 
-    Once a voxel is deep, images hardly change with it: what a linear model that does not fit yet has put there, no
-    later step takes away. Down a step may go as far as it will, since thin voxels are well seen.
+    Images hardly change with a voxel that is deep: if a linear model that does not fit yet makes it so, no later step
+    takes that back. Steps down have no such bound, since images change much with thin voxels.
     """
     return np.maximum(_TRUSTED_GROWTH * extinction, extinction + _TRUSTED_DEPTH / grid.mean_chord)
 
 
 def tail_rate(iteration: int) -> float:
-    """Share of an iteration, counted from 0, in a mean over about the later half of them."""
+    """The share of an iteration, counted from 0, in a running mean over about the later half of all iterations."""
     return 1 / (1 + iteration // 2)
 
 
 def _derivatives_of(problem: Problem, state: GaussNewtonState, seed: int) -> JacobianAverage:
-    """The average that a state goes on with; after a resume, that of the iterations before is made again."""
+    """The average of derivatives of a state; after a resume that of all iterations before, computed again."""
     if state.derivatives is not None:
         return state.derivatives
-    # What lies near a line of sight is decided once a stage: by the views as they then stand.
+    # The near field of a line of sight is chosen once in a stage, by the views at its start.
     begun = state.view_motions[0] if len(state.view_motions) else state.motions
     derivatives = JacobianAverage(problem.with_motions(begun).operator)
     for number, (stream, extinction, motions) in enumerate(zip(state.streams, state.extinctions, state.view_motions)):
@@ -303,9 +306,9 @@ def _derivatives_of(problem: Problem, state: GaussNewtonState, seed: int) -> Jac
 def _averaged_in(
     derivatives: JacobianAverage, iteration: int, problem: Problem, extinction: np.ndarray, seed: int, stream: int
 ) -> Rendering:
-    """Renders an extinction, km^-1, shape (voxels,), and averages its derivatives in; returns the rendering.
+    """Renders an extinction, km^-1, shape (voxels,), and adds its derivatives to the average; returns the rendering.
 
-    iteration : counted from 0
+    iteration : number of the iteration, counted from 0
     """
     samples = problem.default_samples if problem.samples is None else problem.samples
     rendering = problem.operator.render(problem.on_grid(extinction), samples, seed, stream, store_paths=True)
@@ -317,9 +320,9 @@ def _share_by(
     minimum: Callable[[InnerProblem, np.ndarray], np.ndarray], inner: InnerProblem, state: GaussNewtonState,
     jacobian: Jacobian, random: np.random.Generator,
 ) -> float:  # fmt: skip
-    """The share of the prior's pull on the mass that steps take back (`mass`), by this step's way to its minimum.
+    """The share of the prior's pull on the mass that steps take back (mass.py), by this step's way of minimisation.
 
-    Without bounds upwards: those of a step hold gains back but not losses, while step after step goes on gaining.
+    There is no upper bound here: a single step's bound limits gains of mass but not losses, while later steps gain on.
     """
     problem, extinction = inner.problem, state.extinction
     if not getattr(problem.prior, "corrects_mass", False):
@@ -338,7 +341,7 @@ def _share_by(
 def _simulated_images(
     problem: Problem, state: GaussNewtonState, jacobian: Jacobian
 ) -> tuple[DataTerm, Callable[[np.random.Generator], np.ndarray]]:
-    """The data term of the linear model at the extinction of a state, and draws of what noise adds to its slope."""
+    """The linear model's data term at a state's extinction, and a function that draws its gradient's noise."""
     active, image, extinction = problem.active, state.image, state.extinction
     calibration, weights = active.calibration, problem.weights
     residual_weights = ResidualWeights(weights, calibration, image, problem.operator.device)
@@ -353,7 +356,7 @@ def _simulated_images(
 
 
 def _noisy_model(problem: Problem, state: GaussNewtonState, jacobian: Jacobian, prior: FrozenPrior) -> NoisyModel:
-    """The linear model at the extinction of a state, where the prior stands as given."""
+    """The linear model at a state's extinction, with the given form of the prior."""
     device, extinction, units = problem.operator.device, state.extinction, problem.units(state.modelled_noise(problem))
     data, slope_of_noise = _simulated_images(problem, state, jacobian)
     curvature = jacobian.curvature(problem.weights)
@@ -365,7 +368,7 @@ def _noisy_model(problem: Problem, state: GaussNewtonState, jacobian: Jacobian, 
 
 
 def _misfit(problem: Problem, state: GaussNewtonState) -> np.ndarray:
-    """What the averaged image is off by, if views did not move, shape (pixels,)."""
+    """Averaged minus measured image, without the motions' part, W m^-2 sr^-1, shape (pixels,)."""
     return state.image - problem.active.calibration.change(state.motions) - problem.radiance
 
 
@@ -377,7 +380,7 @@ def _cost(problem: Problem, halves: np.ndarray, state: GaussNewtonState) -> tupl
 
 
 def _with_image(problem: Problem, state: GaussNewtonState, rendering: Rendering) -> GaussNewtonState:
-    """With a rendering in the averaged image, by how much noise and error each has."""
+    """The state with a rendering averaged into its image, by the noise and error of both."""
     variance = rendering.standard_error**2
     rate = 1.0
     if state.iterations:

@@ -1,4 +1,4 @@
-"""What a solver is: two functions, of a problem and of where the iterations stand."""
+"""What a solver is: two functions of a problem and of a state of the iterations."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cloudtomo_cl.inversion.problem import Problem
 
 @dataclass(frozen=True)
 class Progress:
-    """What an iteration tells: the data term at its start, its standard error, the prior, and paths walked."""
+    """Results of an iteration: the data term at its start, its standard error, the prior, and the number of paths."""
 
     cost: float
     cost_standard_error: float
@@ -22,24 +22,24 @@ class Progress:
 
 
 class State(Protocol):
-    """Where iterations stand: a frozen dataclass whose fields are kept in checkpoints (`state.py`)."""
+    """The state of iterations: a frozen dataclass whose fields are kept in checkpoints (`state.py`)."""
 
     @property
     def extinction(self) -> np.ndarray:
-        """What the next iteration renders, km^-1, shape (voxels,)."""
+        """The extinction that the next iteration renders, km^-1, shape (voxels,)."""
         ...
 
     @property
     def estimate(self) -> np.ndarray:
-        """What to hand out, km^-1, shape (voxels,): usually a mean over the last iterations."""
+        """The extinction to report, km^-1, shape (voxels,): often a mean over the last iterations."""
         ...
 
 
 class Solver(Protocol):
     """How a stage's iterations find the extinction.
 
-    An optional method `standard_error(problem, state, draws, seed)` gives that of the estimate, km^-1, shape
-    (voxels,), or None where it is not known.
+    An optional method `standard_error(problem, state, draws, seed)` gives the standard error of the estimate, km^-1,
+    shape (voxels,), or None if it is not known.
     """
 
     def init(self, problem: Problem, extinction: np.ndarray) -> Any:
@@ -49,13 +49,13 @@ class Solver(Protocol):
     def step(self, problem: Problem, state: Any, *, seed: int, stream: int) -> tuple[Any, Progress]:
         """The state after one more iteration, whose random numbers are those of (seed, stream).
 
-        A state may be stepped once: what is too large to be copied is handed on to the next one.
+        A state may be used for one step only: arrays too large to be copied are passed on to the next state.
         """
         ...
 
 
 def check_gradient(gradient: np.ndarray, problem: Problem, stream: int) -> None:
-    """TransportError if one, shape (voxels,), is not finite: bounds would make a clear voxel of it, unseen."""
+    """Raises TransportError if a gradient, shape (voxels,), is not finite: bounds would silently clear the voxel."""
     wrong = np.flatnonzero(~np.isfinite(gradient))
     if len(wrong):
         voxel = tuple(int(i) for i in np.argwhere(problem.mask)[wrong[0]])

@@ -14,17 +14,17 @@ _State = TypeVar("_State")
 
 
 def not_saved(**options: Any) -> Any:
-    """A field of a state that checkpoints leave out, for it can be made again."""
+    """A field of a state that checkpoints leave out, since it can be computed again."""
     return field(metadata={"saved": False}, **options)
 
 
 def of_any_length(**options: Any) -> Any:
-    """A field that is an array of which only the first dimension is free."""
+    """A field that is an array whose first dimension may have any length."""
     return field(metadata={"any_length": True}, **options)
 
 
 def arrays_of(state: Any, prefix: str = "") -> dict[str, np.ndarray]:
-    """The fields of a state as arrays on the host: "name", or "name.inner" of what has fields itself."""
+    """The fields of a state as arrays on the host, by "name", or "name.inner" where a field has fields itself."""
     arrays: dict[str, np.ndarray] = {}
     for name, value in _saved(state):
         if is_dataclass(value):
@@ -39,7 +39,7 @@ def restored(state: _State, arrays: Mapping[str, np.ndarray]) -> _State:
 
     Parameters
     ----------
-    state : one of the same problem, as `Solver.init` makes it: every field must be there as it has it
+    state : state of the same problem from `Solver.init`: `arrays` must have the same fields, types and shapes
 
     Raises
     ------
@@ -78,10 +78,10 @@ def _check(name: str, array: np.ndarray, like: np.ndarray, any_length: bool = Fa
 
 
 def _saved(state: Any) -> list[tuple[str, Any]]:
-    """Names and values of the fields that checkpoints hold; what is none is so by the solver's settings."""
-    values = [(own.name, getattr(state, own.name)) for own in fields(state) if own.metadata.get("saved", True)]
+    """Names and values of the fields that checkpoints hold, without None, which follows from the settings."""
+    values = [(one.name, getattr(state, one.name)) for one in fields(state) if one.metadata.get("saved", True)]
     return [(name, value) for name, value in values if value is not None]
 
 
 def _field(state: Any, name: str) -> Any:
-    return next(own for own in fields(state) if own.name == name)
+    return next(one for one in fields(state) if one.name == name)
