@@ -50,7 +50,7 @@ class InnerProblem:
     iteration: int | None = None
 
     def prior_value(self, extinction: np.ndarray) -> float:
-        """The prior's value at an extinction at which its form is chosen, too."""
+        """The prior's value at an extinction, with the form that the prior has there."""
         prior = self.problem.prior.frozen(extinction, self.iteration, self.mass_share)
         return prior.value_and_gradient(extinction, self.units)[0]
 
@@ -67,7 +67,7 @@ class InnerProblem:
 
 
 def annealed(inner: InnerProblem, start: np.ndarray) -> np.ndarray:
-    """The minimum with a prior whose form depends on the extinction, as the patch prior's: by annealing.
+    """The minimum, by annealing, with a prior whose form depends on the extinction, as the patch prior's does.
 
     If a step chose the prior's form at the last minimum, the choice would make that minimum likelier still, and every
     choice would make the cloud smoother. So each step begins with a weak prior, where the images decide on the form,

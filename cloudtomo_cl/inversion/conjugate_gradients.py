@@ -19,8 +19,8 @@ from cloudtomo_cl.opencl.layout import STRUCTS
 
 # A minimisation ends when each of two steps in a row gains less than this share of all gains so far.
 TOLERANCE = 1e-7
-# A term that is not quadratic is evaluated at the end of the tried step: the step taken is at most this many times as
-# long.
+# Where a term is not quadratic, whose gradient is known at the tried change alone, a step is at most this many times as
+# long as that change.
 _EXTRAPOLATION = 2.0
 
 

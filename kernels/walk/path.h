@@ -13,7 +13,7 @@
  *   void on_scattering(medium, const Interaction *at, const SampleKey *key, tally)
  *       the path goes on from there, in at->new_direction
  *   void on_absorption(medium, const Interaction *at, float weight, tally)
- *       the path's throughput has been reduced by `weight`
+ *       the path's throughput is reduced by `weight`
  *   void on_roulette(float throughput, float raised, bool survives, tally)
  *       a roulette has raised the throughput to `raised`, or ends the path
  *   void on_termination(Termination termination, float throughput, tally)

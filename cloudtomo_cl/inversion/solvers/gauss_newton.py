@@ -43,7 +43,8 @@ _LOGGER = logging.getLogger(__name__)
 _FITTING = 2.5
 # A step's largest increase of a voxel: by this optical depth along a mean chord, or by this factor.
 _TRUSTED_DEPTH, _TRUSTED_GROWTH = 1 / 3, 1.3
-# Shares of the misfit, and of the measured images' noise, up to which a rendering's noise needs no further paths.
+# A rendering's noise of up to this share of the misfit, or this multiple of the measured images' noise, needs no
+# further paths for the images.
 _NOISE_OF_MISFIT, _NOISE_OF_MEASURED = 0.1, 2.0
 # Largest number of paths of an iteration, as a multiple of the default.
 _MOST_PATHS = 1000
