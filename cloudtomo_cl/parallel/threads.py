@@ -87,6 +87,8 @@ def shared_by_threads(size: int, work: Callable[[Ranks], _Result]) -> _Result:
     meeting = _Meeting(size)
     results: list[Any] = [None] * size
     failures: list[BaseException | None] = [None] * size
+    # Threads that end say so here: Python up to 3.12 takes a thread for ended if Ctrl-C interrupts `join`.
+    ended = [threading.Event() for _ in range(size)]
 
     def run(rank: int) -> None:
         try:
@@ -95,6 +97,8 @@ def shared_by_threads(size: int, work: Callable[[Ranks], _Result]) -> _Result:
             failures[rank] = error
             if not getattr(error, "told_by_all", False):
                 meeting.barrier.abort()  # others must not wait for this thread
+        finally:
+            ended[rank].set()
 
     threads = [threading.Thread(target=run, args=(rank,), name=f"rank {rank}") for rank in range(size)]
     # BLAS has one number of threads for the whole process: a thread that resets it would change others' results.
@@ -102,14 +106,17 @@ def shared_by_threads(size: int, work: Callable[[Ranks], _Result]) -> _Result:
         try:
             for thread in threads:
                 thread.start()
-            for thread in threads:
-                thread.join()
+            for event in ended:
+                event.wait()
         except BaseException:
             meeting.barrier.abort()
-            for thread in threads:
+            for thread, event in zip(threads, ended):
                 if thread.ident is not None:  # it was started
+                    event.wait()
                     thread.join()
             raise
+        for thread in threads:
+            thread.join()
     raised = [error for error in failures if error is not None]
     for error in raised:
         # Threads that found the barrier broken did so because of another thread's error.
