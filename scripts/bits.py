@@ -114,7 +114,7 @@ def of_table(operator: Any, rendering: Any, adjoint: np.ndarray, mask: np.ndarra
         gradient, tangent = table.gradient(rendering, adjoint, change)
         yield f"table gradient {turn}", digest(gradient)
         yield f"table tangent {turn}", digest(tangent)
-    sums = found("JacobianAverage")(operator)
+    sums = found("JacobianSums", "JacobianAverage")(operator)
     sums.add(rendering, 1.0)
     yield "jacobian: near", digest(sums._near)
     yield "jacobian: far", digest(sums._far)

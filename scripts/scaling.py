@@ -191,7 +191,7 @@ def iterations(device: Any, clock: Clock) -> dict[str, Any]:
             "iteration", lambda stream=stream, state=state: solver.step(problem, state, seed=SEED, stream=stream)
         )
         paths += progress.paths
-    structure = state.derivatives._sums.structure
+    structure = state.derivatives.structure
     return {
         "wall": {name: value / ITERATIONS for name, value in clock.wall.items()},
         "cpu": {name: value / ITERATIONS for name, value in clock.cpu.items()},
@@ -201,7 +201,7 @@ def iterations(device: Any, clock: Clock) -> dict[str, Any]:
         "paths": paths / ITERATIONS,
         "pixels": len(problem.active),
         "voxels": len(problem.voxels),
-        "entries": structure.entries,
+        "entries": structure.near.count,
         "cells": cells[-1],
         "bins": BINS,
     }
