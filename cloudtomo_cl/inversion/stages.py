@@ -34,7 +34,7 @@ class Stage:
     grid : numbers of voxels along x, y, z
     pixels : width and height of the images, as a share of the measured images'
     samples : paths per pixel and iteration for derivatives, even. By default Gauss-Newton takes 90 for each voxel
-        that may hold cloud, but no more than 180 for each pixel; a descent takes 60,000 in all
+        that may hold cloud, but no more than 180 for each pixel, and at least 50,000 in all; a descent takes 60,000
     iterations : largest number of iterations; the stage ends earlier when its cost has stopped falling
     window : least number of iterations whose mean cost is compared with that of as many iterations before
     prior_weight : factor of the prior
