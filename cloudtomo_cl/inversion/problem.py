@@ -170,7 +170,7 @@ class Problem:
         from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 
         x = self._checked(x)
-        rendering = self.operator.render(self.on_grid(x), self._count(samples), seed, stream, store_paths=True)
+        rendering = self.operator.render(self.on_grid(x), self.paths_per_pixel(samples), seed, stream, store_paths=True)
         derivatives = JacobianAverage(self.operator)
         derivatives.add(rendering, 1.0)
         return LinearModel(x.copy(), rendering.mean, rendering.standard_error**2, derivatives.jacobian, rendering)
@@ -186,7 +186,7 @@ class Problem:
         Parameters and errors are those of `linearise`.
         """
         x = self._checked(x)
-        rendering = self.operator.render(self.on_grid(x), self._count(samples), seed, stream, store_paths=True)
+        rendering = self.operator.render(self.on_grid(x), self.paths_per_pixel(samples), seed, stream, store_paths=True)
         image = AveragedImage.empty(len(self.active))
         data = (rendering.halves, self.radiance, self.weights, self.active.calibration)
         value, _ = image.cost(*data)
@@ -203,8 +203,8 @@ class Problem:
         both = measured + 2 * modelled_noise / len(self.active)
         return NoiseUnits(self.prior_weight * measured, both, self.prior_weight)
 
-    def _count(self, samples: int | None) -> int:
-        """Paths per pixel: the argument, or the problem's number, or the default; `render` refuses 0."""
+    def paths_per_pixel(self, samples: int | None = None) -> int:
+        """Paths per pixel for derivatives: those given, or the problem's, or the default; `render` refuses 0."""
         return next(count for count in (samples, self.samples, self.default_samples) if count is not None)
 
     def _checked(self, x: np.ndarray) -> np.ndarray:

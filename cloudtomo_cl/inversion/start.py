@@ -16,7 +16,7 @@ _SIGNIFICANCE = 2.0
 _STREAM = 2**32 - 1
 
 
-def uniform_start(problem: Problem, box: np.ndarray, grid: Grid, seed: int) -> float:
+def uniform_start(problem: Problem, mask: np.ndarray, grid: Grid, seed: int) -> float:
     """The extinction with which a recovery begins in every voxel that may hold cloud, km^-1.
 
     It is an optical depth of 1 along a mean chord of the box around these voxels, halved as long as images of a uniform
@@ -26,11 +26,11 @@ def uniform_start(problem: Problem, box: np.ndarray, grid: Grid, seed: int) -> f
     Parameters
     ----------
     problem : problem of the first stage
-    box : voxels that may hold cloud, bool, shape of `grid`
+    mask : voxels that may hold cloud, bool, shape of `grid`
     grid : finest grid
     seed : seed of the recovery
     """
-    voxels = np.argwhere(box)
+    voxels = np.argwhere(mask)
     edges = (voxels.max(axis=0) - voxels.min(axis=0) + 1) * grid.spacing
     extinction = best = _DEEPEST / mean_chord(edges)
     least, error = _cost(problem, extinction, seed)
@@ -46,7 +46,7 @@ def uniform_start(problem: Problem, box: np.ndarray, grid: Grid, seed: int) -> f
 
 def _cost(problem: Problem, extinction: float, seed: int) -> tuple[float, float]:
     """The data term of a uniform cloud, and its standard error."""
-    samples = problem.default_samples if problem.samples is None else problem.samples
+    samples = problem.paths_per_pixel()
     uniform = problem.on_grid(np.full(len(problem.voxels), extinction))
     halves = problem.operator.render(uniform, samples, seed, _STREAM).halves
     image = AveragedImage.empty(len(problem.active))

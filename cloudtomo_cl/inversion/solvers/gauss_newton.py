@@ -311,7 +311,7 @@ def _averaged_in(
 
     iteration : number of the iteration, counted from 0
     """
-    samples = problem.default_samples if problem.samples is None else problem.samples
+    samples = problem.paths_per_pixel()
     rendering = problem.operator.render(problem.on_grid(extinction), samples, seed, stream, store_paths=True)
     derivatives.add(rendering, tail_rate(iteration))
     return rendering
