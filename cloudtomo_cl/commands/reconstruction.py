@@ -28,6 +28,7 @@ from cloudtomo_cl.files.stored_settings import read_settings
 from cloudtomo_cl.files.truth import read_truth
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint
+from cloudtomo_cl.inversion.outliers import outlier_text
 from cloudtomo_cl.inversion.priors import unlike_prior
 from cloudtomo_cl.inversion.reconstruct import check, check_memory, reconstruct
 from cloudtomo_cl.inversion.records import COLUMNS, IterationRecord, Reconstruction
@@ -320,6 +321,8 @@ def _show_result(job: Job, outcome: Outcome) -> None:
     took = duration(last.seconds)
     job.console.print(f"{last.paths:.3g} paths in {took} on {job.device.name}: {outcome.state}", soft_wrap=True)
     job.say(fit_text(last))
+    if result.outliers:
+        job.say(outlier_text(result.outliers))
     if result.no_standard_error and job.settings.run.uncertainty:
         job.say(f"no standard error of the extinction: {result.no_standard_error}")
     if not result.extinction.any():
@@ -354,6 +357,8 @@ def _write_result(job: Job, outcome: Outcome) -> None:
     }
     if result.no_standard_error:
         attributes["no_standard_error"] = result.no_standard_error
+    if result.outliers:
+        attributes["outliers"] = outlier_text(result.outliers)
     settings = {"scene": stored_scene(job.scene), "reconstruct": job.stored_settings, "seed": job.seed}
     job.folder.write_reconstruction(
         result.grid,

@@ -235,6 +235,8 @@ def _numbers(shown: _Shown) -> dict[str, str]:
         numbers["typical standard error in cloud"] = f"{error:.3g} km⁻¹"
     elif "no_standard_error" in shown.result.attrs:
         numbers["standard error"] = f"not known: {shown.result.attrs['no_standard_error']}"
+    if "outliers" in shown.result.attrs:
+        numbers["outliers"] = str(shown.result.attrs["outliers"])
     return numbers
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,12 +10,16 @@ import numpy as np
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion.calibration import Calibration
 from cloudtomo_cl.inversion.objective import noise_of, pixel_weights, variance_of
+from cloudtomo_cl.inversion.outliers import Outlier, outlier_factors
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
-from cloudtomo_cl.scene.pixels import neighbours
+from cloudtomo_cl.scene.pixels import neighbours, touching
 from cloudtomo_cl.scene.pointing import MOTIONS, image_motions
 from cloudtomo_cl.scene.sensors import View
 from cloudtomo_cl.scene.visibility import pixels_that_see
+
+# A radiance counts in the weights as no more than this multiple of this percentile of all.
+_BRIGHTEST, _BRIGHT_PERCENTILE = 3.0, 99.0
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,7 @@ class ActivePixels:
     motions : change of each pixel per unit of its view's motions (`scene.pointing`), shape (pixels, 3); None: no motion
         is possible
     motion_errors : standard errors of the views' motions, shape (views, 3)
+    factors : factors of the weights (`outliers`), shape (pixels,); None: all 1
     """
 
     views: tuple[View, ...]
@@ -41,6 +46,7 @@ class ActivePixels:
     calibration_errors: tuple[float, ...]
     motions: np.ndarray | None = None
     motion_errors: np.ndarray | None = None
+    factors: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.listed)
@@ -49,9 +55,12 @@ class ActivePixels:
     def level(self) -> np.ndarray:
         """Mean radiance of a pixel and its neighbours, W m^-2 sr^-1, shape (pixels,): for weights.
 
-        Weights from the radiance of the pixel alone would be largest where noise has made it dark.
+        Weights from the radiance of the pixel alone would be largest where noise has made it dark. A broken pixel, far
+        brighter than nearly all others, counts as no more than a bright one.
         """
-        return neighbours(self.views, self.listed) @ self.radiance
+        bright = float(np.percentile(self.radiance, _BRIGHT_PERCENTILE))
+        radiance = np.minimum(self.radiance, _BRIGHTEST * bright) if bright > 0 else self.radiance
+        return neighbours(self.views, self.listed) @ radiance
 
     @cached_property
     def error(self) -> np.ndarray:
@@ -67,12 +76,42 @@ class ActivePixels:
     @cached_property
     def weights(self) -> np.ndarray:
         """Weights of the squared residuals in the data term, shape (pixels,)."""
-        return pixel_weights(self.level, self.error)
+        weights = pixel_weights(self.level, self.error)
+        return weights if self.factors is None else weights * self.factors
 
     @cached_property
     def variance(self) -> np.ndarray:
         """Variance of the measured radiances' noise, estimated where it is unknown, shape (pixels,)."""
         return variance_of(self.level, self.standard_error)
+
+    @cached_property
+    def touching(self) -> np.ndarray:
+        """Pixels that touch each one, see `scene.pixels.touching`; shape (pixels, 9)."""
+        return touching(self.views, self.listed)
+
+    def without_outliers(self, residual: np.ndarray, variance: np.ndarray) -> ActivePixels:
+        """The same pixels, of which those hardly count that are far from the model; see `outlier_factors`.
+
+        residual : modelled minus measured radiances, W m^-2 sr^-1, shape (pixels,)
+        variance : variance of the modelled radiances' noise, (W m^-2 sr^-1)^2, shape (pixels,)
+        """
+        factors = self._outlier_factors(residual, variance)
+        return self if (factors == 1).all() else replace(self, factors=factors)
+
+    def outliers(self, residual: np.ndarray, variance: np.ndarray) -> tuple[Outlier, ...]:
+        """The pixels that are far from the model, the farthest first; parameters as of `without_outliers`."""
+        factors = self._outlier_factors(residual, variance)
+        found = np.flatnonzero(factors < 1)
+        return tuple(self._outlier(int(pixel), float(residual[pixel])) for pixel in found[np.argsort(factors[found])])
+
+    def _outlier_factors(self, residual: np.ndarray, variance: np.ndarray) -> np.ndarray:
+        noise = self.weights * (self.variance + variance)
+        return outlier_factors(self.weights * residual**2, noise, self.touching)
+
+    def _outlier(self, pixel: int, residual: float) -> Outlier:
+        view, number = (int(index) for index in self.listed[pixel])
+        measured = float(self.radiance[pixel])
+        return Outlier(view, *divmod(number, self.views[view].pixels[0]), measured, measured + residual)
 
     @property
     def unit(self) -> float:

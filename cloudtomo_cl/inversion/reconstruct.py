@@ -168,8 +168,9 @@ def reconstruct(
     extinction = run.on_finest_grid(problem.on_grid(state.estimate))
     views = measurements.moved(getattr(state, "motions", None), scene.grid).views
     history = History(run.history)
+    outliers = solver.outliers(problem, state) if hasattr(solver, "outliers") else ()
     return Reconstruction(
-        scene.grid, extinction, question.mask, history, run.stage_ends, error, limit.reached, absent, views
+        scene.grid, extinction, question.mask, history, run.stage_ends, error, limit.reached, absent, views, outliers
     )
 
 

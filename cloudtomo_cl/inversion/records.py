@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.files.extinction import WRITTEN_AXES, extinction_dataset
+from cloudtomo_cl.inversion.outliers import Outlier
 from cloudtomo_cl.renamed import renamed_attributes
 from cloudtomo_cl.scene.cards import card, table
 from cloudtomo_cl.scene.grid import Grid
@@ -135,6 +136,7 @@ class Reconstruction:
     timed_out : whether the time limit ended the run
     no_standard_error : text that says why there is no standard error
     views : views of the measurements, moved where their pointing was uncertain
+    outliers : pixels of the last stage's images that no cloud explains, the farthest first: they hardly counted
     """
 
     grid: Grid
@@ -146,6 +148,7 @@ class Reconstruction:
     timed_out: bool = False
     no_standard_error: str = ""
     views: tuple[View, ...] = ()
+    outliers: tuple[Outlier, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "history", History(self.history))

@@ -13,6 +13,9 @@ from cloudtomo_cl.scene.sensors import RayView, View
 if TYPE_CHECKING:
     import scipy.sparse
 
+# A pixel and those that touch it form a square of so many pixels a side.
+_AROUND = 3
+
 
 def all_pixels(views: Sequence[View]) -> np.ndarray:
     """Every pixel of every view: an array (pixels, 2) of (view, row * width + column)."""
@@ -58,6 +61,28 @@ def checked_pixels(views: Sequence[View], pixels: Any) -> np.ndarray:
     return np.ascontiguousarray(given, np.uint32)
 
 
+def touching(views: Sequence[View], pixels: np.ndarray) -> np.ndarray:
+    """The listed pixels that touch each one in its image, and it itself: numbers in the list, int, shape (pixels, 9).
+
+    Row by row of the image, so that the pixel itself is in the middle; -1 where there is none. Rays of a `RayView`
+    touch no others.
+    """
+    numbers = np.full((len(pixels), _AROUND**2), -1)
+    for index, view in enumerate(views):
+        chosen = np.flatnonzero(pixels[:, 0] == index)
+        width, height = view.pixels
+        place = np.full((height + 2, width + 2), -1)
+        row, column = np.divmod(pixels[chosen, 1].astype(int), width)
+        place[row + 1, column + 1] = chosen
+        if isinstance(view, RayView):
+            numbers[chosen, _AROUND**2 // 2] = chosen
+            continue
+        for offset in range(_AROUND**2):
+            down, right = divmod(offset, _AROUND)
+            numbers[chosen, offset] = place[row + down, column + right]
+    return numbers
+
+
 def neighbours(views: Sequence[View], pixels: np.ndarray) -> scipy.sparse.csr_matrix:
     """The matrix that takes the mean over each pixel and the listed pixels that touch it in its image.
 
@@ -65,19 +90,8 @@ def neighbours(views: Sequence[View], pixels: np.ndarray) -> scipy.sparse.csr_ma
     """
     import scipy.sparse
 
-    rows, columns = [], []
-    for index, view in enumerate(views):
-        chosen = np.flatnonzero(pixels[:, 0] == index)
-        width, height = view.pixels
-        place = np.full((height + 2, width + 2), -1)
-        at = np.divmod(pixels[chosen, 1].astype(int), width)
-        place[at[0] + 1, at[1] + 1] = chosen
-        reach = (0,) if isinstance(view, RayView) else (-1, 0, 1)
-        for down in reach:
-            for right in reach:
-                other = place[at[0] + 1 + down, at[1] + 1 + right]
-                rows.append(chosen[other >= 0])
-                columns.append(other[other >= 0])
-    row, column = np.concatenate(rows), np.concatenate(columns)
+    around = touching(views, pixels).T  # in the order of offsets, in which a row's entries are added up
+    column = around[around >= 0]
+    row = np.broadcast_to(np.arange(len(pixels)), around.shape)[around >= 0]
     share = (1 / np.bincount(row, minlength=len(pixels)))[row].astype(np.float32)
     return scipy.sparse.csr_matrix((share, (row, column)), (len(pixels), len(pixels)))

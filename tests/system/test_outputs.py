@@ -135,3 +135,23 @@ def test_a_run_without_a_standard_error_says_so(outputs, tmp_path, capsys):
     with xr.open_dataset(run / "reconstruction.nc") as dataset:
         assert reason in dataset.attrs["no_standard_error"]
     assert reason in (run / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_run_with_a_broken_pixel_names_it(outputs, tmp_path, monkeypatch, capsys):
+    """On the terminal, in the file, and on the page."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("scene.toml", "run.toml", "cloud.nc", "rays.nc"):
+        (tmp_path / name).write_bytes((outputs / name).read_bytes())
+    sharp = "view[0].pixels=[24, 24]"
+    assert main(["render", "scene.toml", "--samples", "64", "--output", "right.nc", "--quiet", "--set", sharp]) == 0
+    with xr.open_dataset("right.nc") as images:
+        first = next(name for name in images.data_vars if name.startswith("radiance") and images[name].ndim > 1)
+        radiance = images[first].values.copy()
+        radiance[(0, 12, 11)[-radiance.ndim :]] = 50 * np.nanmax(radiance)
+        images.assign({first: (images[first].dims, radiance, images[first].attrs)}).to_netcdf("images.nc")
+    assert main(["reconstruct", "run.toml", "--output", "run", "--seed", "2"]) == 0
+    named = "hardly counted: row 12, column 11 of view 0"
+    assert named in " ".join(capsys.readouterr().out.split())
+    with xr.open_dataset("run/reconstruction.nc") as dataset:
+        assert named in dataset.attrs["outliers"]
+    assert named in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")

@@ -20,6 +20,7 @@ from cloudtomo_cl.inversion.haze import without_haze
 from cloudtomo_cl.inversion.mass import PAIRS, is_due, share_that_keeps_mass
 from cloudtomo_cl.inversion.noisy_model import NoisyModel
 from cloudtomo_cl.inversion.objective import cost_of_independent, error_beyond_noise, noise_of, variance_of_half
+from cloudtomo_cl.inversion.outliers import Outlier
 from cloudtomo_cl.inversion.patch_operator import stencil_footprint
 from cloudtomo_cl.inversion.prior_terms import hessian_of
 from cloudtomo_cl.inversion.problem import Problem
@@ -172,6 +173,7 @@ class GaussNewton:
         derivatives = _derivatives_of(problem, state, seed)
         seen = problem.with_motions(state.motions)
         first = _averaged_in(derivatives, len(state.streams), seen, state.extinction, seed, stream)
+        problem = _without_outliers(problem, state if state.iterations else _with_image(problem, state, first))
         more = first.samples * self._times_more(problem, state, first)
         rendering = _with_more_paths(seen, first, more, state.extinction, seed, stream)
         cost, error = _cost(problem, rendering.halves, state)
@@ -261,10 +263,15 @@ class GaussNewton:
         """
         if not state.iterations or not problem.active.standard_error.any():
             return None
-        jacobian = _derivatives_of(self._sampled(problem), state, seed).jacobian
+        problem = _without_outliers(self._sampled(problem), state)
+        jacobian = _derivatives_of(problem, state, seed).jacobian
         prior = problem.prior.frozen(state.extinction, mass_share=state.mass_share)
         wider = widening(state.misfit, state.extinction * problem.grid.mean_chord)
         return wider * standard_errors(_noisy_model(problem, state, jacobian, prior), draws, seed)
+
+    def outliers(self, problem: Problem, state: GaussNewtonState) -> tuple[Outlier, ...]:
+        """The pixels that no cloud explains, the farthest first; they hardly counted."""
+        return problem.active.outliers(_misfit(problem, state), state.variance) if state.iterations else ()
 
 
 def _with_more_paths(
@@ -366,6 +373,11 @@ def _noisy_model(problem: Problem, state: GaussNewtonState, jacobian: Jacobian, 
     return NoisyModel(
         terms, hessian_diagonal, data.gradient(extinction), slope_of_noise, prior, units, extinction, device
     )
+
+
+def _without_outliers(problem: Problem, state: GaussNewtonState) -> Problem:
+    """The problem with next to no weight on the pixels that a state's image is far from."""
+    return replace(problem, active=problem.active.without_outliers(_misfit(problem, state), state.variance))
 
 
 def _misfit(problem: Problem, state: GaussNewtonState) -> np.ndarray:

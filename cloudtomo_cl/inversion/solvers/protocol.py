@@ -39,7 +39,8 @@ class Solver(Protocol):
     """How a stage's iterations find the extinction.
 
     An optional method `standard_error(problem, state, draws, seed)` gives the standard error of the estimate, km^-1,
-    shape (voxels,), or None if it is not known.
+    shape (voxels,), or None if it is not known. An optional method `outliers(problem, state)` gives the pixels that
+    hardly counted (`outliers.Outlier`).
     """
 
     def init(self, problem: Problem, extinction: np.ndarray) -> Any:
