@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -132,8 +133,8 @@ def reconstruct(
 
     Raises
     ------
-    DataError : an array does not fit the scene's grid, no pixel sees the mask, the checkpoint
-        is of another run (the error names what differs) or cannot be written
+    DataError : an array does not fit the scene's grid, no pixel sees the mask, a number is out of range, the
+        checkpoint is of another run (the error names what differs) or cannot be written
     TransportError : a radiance, a gradient or an extinction is not finite, or diverged
     DeviceError : the device failed or has not enough memory
     """
@@ -142,6 +143,7 @@ def reconstruct(
     ranks = device.ranks
 
     def checked() -> Checkpoint | None:
+        _check_ends(time_limit, checkpoint_interval, uncertainty)
         own = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
         check(scene, measurements, stages, prior, solver, mask=mask, device=device, seed=seed, truth=truth, resume=own)
         return own
@@ -294,6 +296,16 @@ def check(
 def _by_default(prior: AnyPrior | Regulariser | None, solver: Solver | None) -> tuple[AnyPrior | Regulariser, Solver]:
     """What is given, even if it is false in Python (an object of length 0), or what recoveries have by default."""
     return PatchPrior() if prior is None else prior, GaussNewton() if solver is None else solver
+
+
+def _check_ends(time_limit: Any, checkpoint_interval: Any, uncertainty: Any) -> None:
+    """DataError for what would be found wrong only after an iteration, or when the recovery is done."""
+    seconds = {"time_limit": time_limit, "checkpoint_interval": checkpoint_interval}
+    for name, value in seconds.items():
+        if not (isinstance(value, Real) and float(value) >= 0) and not (name == "time_limit" and value is None):
+            raise DataError(f"{name} is {value!r}: it must be a number of seconds, at least 0")
+    if not isinstance(uncertainty, Integral) or int(uncertainty) < 0:
+        raise DataError(f"uncertainty is {uncertainty!r}: it must be a whole number of draws, at least 0")
 
 
 def _check_start(grid: Grid, stages: Sequence[Stage], solver: Any) -> None:

@@ -134,3 +134,21 @@ def test_solvers_take_no_paths_for_none(measurements, device, solver):
     problem = ct.Problem.of(SCENE, measurements, mask=CLOUD > 0, prior=ct.Prior(), device=device, samples=0)
     with pytest.raises(ct.DataError, match="samples is 0: it must be even and at least 2"):
         solver.step(problem, solver.init(problem, CLOUD.reshape(-1)), seed=0, stream=1)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"uncertainty": -1},
+        {"uncertainty": 2.5},
+        {"time_limit": "60"},
+        {"time_limit": float("nan")},
+        {"time_limit": -1.0},
+        {"checkpoint_interval": None},
+        {"checkpoint_interval": float("nan")},
+    ],
+    ids=str,
+)
+def test_what_a_recovery_needs_late_is_looked_at_before_it_begins(measurements, device, given):
+    with pytest.raises(ct.DataError, match=f"{next(iter(given))} is .*: it must be"):
+        ct.reconstruct(SCENE, measurements, mask=CLOUD > 0, solver=Empty(), device=device, **given)
