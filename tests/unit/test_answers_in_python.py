@@ -1,6 +1,7 @@
 """Settings in Python are answered as those in a file: one of the package's errors, what is wrong, what was meant."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -198,3 +199,13 @@ def test_who_reads_no_pickles_advises_none(tmp_path):
     with pytest.raises(ct.DataError, match="is no checkpoint") as error:
         ct.read_checkpoint(tmp_path / "checkpoint.npz")
     assert "unsafely" not in str(error.value)
+
+
+def test_ranks_that_are_asked_different_things_say_which(measurements):
+    def work(device):
+        images = tuple(image * (1 + device.ranks.rank) for image in measurements.images)
+        given = replace(measurements, images=images)
+        ct.reconstruct(SCENE, given, mask=CLOUD > 0, solver=Empty(), device=device, seed=device.ranks.rank)
+
+    with pytest.raises(ct.DataError, match="ranks were given different seed, images: all call this with the same"):
+        ct.on_devices((0, 0), work)
