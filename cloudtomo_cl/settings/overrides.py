@@ -75,7 +75,9 @@ def _entry(override: str, node: Any, part: Any) -> Any:
 def _value(override: str, text: str) -> Any:
     try:
         tables = tomllib.loads(f"value = {text}")
-    except (RecursionError, ValueError) as error:  # no TOML, or a number with too many digits
+    except RecursionError:
+        return text
+    except ValueError as error:  # no TOML, or a number with too many digits
         if re.match(r"[\[{\"']", text):
             raise SettingsError(
                 f"--set {override}: begins like a list, a table or a text of TOML and is none ({error}): write for "
