@@ -16,6 +16,7 @@ import numpy as np
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.memory import require, require_countable, shape_text, voxels_of
 from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.seeds import checked_seed
 
 # Heights of base and top, and the margin at the sides, as shares of the domain.
 _BASE, _TOP, _MARGIN = 0.26, 0.82, 0.06
@@ -92,7 +93,7 @@ def cumulus(
 
     Raises
     ------
-    DataError : clouds, peak, base or top out of range; a grid too coarse to hold any cloud
+    DataError : seed, clouds, peak, base or top out of range; a grid too coarse to hold any cloud
     """
     _require_memory(grid, "cumulus")
     if clouds < 1:
@@ -107,7 +108,7 @@ def cumulus(
             f"base is {base:g} km and top {top:g} km: they must lie in this order inside of the domain, "
             f"{lower:g} to {upper:g} km"
         )
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(checked_seed(seed))
     coordinates = [grid.centres(axis) for axis in range(3)]
     thermals = _thermals(generator, grid, clouds, base, top)
     edges = Turbulence(generator, _OUTER_SCALE * (top - base))
@@ -203,7 +204,7 @@ def stratocumulus(
 
     Raises
     ------
-    DataError : a parameter out of range; a top outside of the domain
+    DataError : the seed or a parameter out of range; a top outside of the domain
     """
     lower, height = grid.origin[2], grid.extent[2]
     top = lower + _DECK_TOP * height if top is None else top
@@ -215,7 +216,7 @@ def stratocumulus(
         )
     if not lower < top <= lower + height:
         raise DataError(f"top is {top:g} km: it must lie inside of the domain, {lower:g} to {lower + height:g} km")
-    gaussian = _periodic_field(np.random.default_rng(seed), grid)
+    gaussian = _periodic_field(np.random.default_rng(checked_seed(seed)), grid)
     depth = optical_depth * np.exp(variability * gaussian - variability**2 / 2)
     # What does not fit between the domain's floor and the top is cut from the column's top thickness.
     thick = np.minimum(thickness * (depth / optical_depth) ** (1 / (1 + _ADIABATIC_EXPONENT)), top - lower)

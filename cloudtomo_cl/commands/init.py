@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write the JSON schema of such settings in place of settings: for editors that complete and check TOML",
     )  # fmt: skip
     parser.add_argument(
-        "--output", type=Path, metavar="FILE", help="by default scene.toml, run.toml, or the folder example"
+        "--output", type=options.folder, metavar="FILE", help="by default scene.toml, run.toml, or the folder example"
     )
     parser.add_argument("--cloud", type=Path, metavar="FILE", help="of a scene: the cloud that the views shall see")
     parser.add_argument("--measurements", type=Path, metavar="FILE", help="of a run: the images (default images.nc)")

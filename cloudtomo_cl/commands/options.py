@@ -53,6 +53,13 @@ def check_outputs(overwrite: bool, output: Path | None, png: Path | None = None,
         check_output(vti, overwrite, VTI, "--vti")
 
 
+def folder(text: str) -> Path:
+    """A folder. An empty name would be the one that the program was started in, which would then be written to."""
+    if not text:
+        raise argparse.ArgumentTypeError("is empty: name a folder (is a variable of the shell unset?)")
+    return Path(text)
+
+
 def seed(text: str) -> int:
     """A seed of the kernels: 32 bits, unsigned."""
     from cloudtomo_cl.scene.seeds import SEEDS

@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of the command; they are the fields of `reconstruction.Request`."""
     parser.add_argument("run", type=Path, metavar="RUN.toml", help="or a reconstruction.nc, to recover it again")
     parser.add_argument("--seed", type=options.seed, help="of the random numbers (default: [run] seed, or 0)")
-    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="the run folder")
+    parser.add_argument("--output", type=options.folder, required=True, metavar="DIR", help="the run folder")
     parser.add_argument(
         "--resume", action="store_true", help="go on from the checkpoint in DIR (start, where there is none)"
     )

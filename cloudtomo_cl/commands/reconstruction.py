@@ -381,8 +381,8 @@ def fit_text(last: IterationRecord) -> str:
         return text
     return (
         f"{text}: the images are not fitted yet, or something is not as told. If more iterations (--resume) do not "
-        "help, look at the views' differences in the report: sun, surface, cameras (pointing_error, "
-        "calibration_error) or standard errors may be wrong"
+        "help, look at the views' differences in the report: the radiances' unit, sun, surface, cameras "
+        "(pointing_error, calibration_error) or standard errors may be wrong"
     )
 
 

@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=options.seed, help="of the random numbers (default 0)")
     parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="the images, netCDF")
-    parser.add_argument("--png", type=Path, metavar="DIR", help="also previews, one grey scale for all views")
+    parser.add_argument("--png", type=options.folder, metavar="DIR", help="also previews, one grey scale for all views")
     parser.add_argument(
         "--blind", action="store_true", help="keep nothing of the cloud in the file: for blind tests of recoveries"
     )

@@ -22,7 +22,7 @@ examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of the command."""
-    parser.add_argument("folder", type=Path, metavar="DIR", help="a run folder")
+    parser.add_argument("folder", type=options.folder, metavar="DIR", help="a run folder")
     options.add_vti(parser)
     options.add_device(parser)
     options.add_overwrite(parser)

@@ -28,15 +28,13 @@ from cloudtomo_cl.files.netcdf import (
 from cloudtomo_cl.files.units import NUMBER, parse_unit
 from cloudtomo_cl.files.wavelengths import WAVELENGTH, at_wavelength, stacked, wavelength_coordinate, wavelengths_of
 from cloudtomo_cl.scene.grid import Grid
-from cloudtomo_cl.scene.measurements import Measurements
+from cloudtomo_cl.scene.measurements import BEYOND_RADIANCES, Measurements
 from cloudtomo_cl.scene.sensors import RayView, View
 
 if TYPE_CHECKING:
     import xarray as xr
 
 RADIANCE_UNITS = "W m-2 sr-1"
-# Above this a number is no radiance but a mark for invalid pixels.
-_BEYOND_RADIANCES = 1e16
 # A radiance below zero by more standard errors than this is no noise.
 _MOST_BELOW_ZERO = 8.0
 # What a variable `valid` may say of its flags 0 and 1.
@@ -341,7 +339,7 @@ def _refuse_unlikely(path: Any, radiance: np.ndarray, error: np.ndarray) -> None
         # Cameras that tell no errors have noise, too: below zero by less than the mean radiance.
         if np.isfinite(radiance).any():
             negative &= (sigma > 0) | undeclared_fill(radiance) | (radiance < -np.nanmean(np.abs(radiance)))
-    wrong = negative | (np.isfinite(radiance) & (np.abs(radiance) >= _BEYOND_RADIANCES))
+    wrong = negative | (np.isfinite(radiance) & (np.abs(radiance) >= BEYOND_RADIANCES))
     if wrong.any():
         view, row, column = np.argwhere(wrong)[0]
         raise DataError(
@@ -425,7 +423,7 @@ def _in_unit(path: Any, dataset: xr.Dataset, name: str, dims: tuple[str, ...], o
     # One coordinate of a place may be -999 m; all three are not.
     marks = np.isin(values, _MARKS)
     marks = marks.all(axis=-1, keepdims=True) & marks if marks.ndim == 2 else marks
-    marks |= np.abs(values) >= _BEYOND_RADIANCES
+    marks |= np.abs(values) >= BEYOND_RADIANCES
     if marks.any():
         raise DataError(f"{path}: {name} has {values[marks][0]:g}: if that means missing, say so with _FillValue")
     if not stated and ours in ("km", "degree") and np.isfinite(values).any():

@@ -139,6 +139,8 @@ def read_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
         if isinstance(error, ValidationError):
             first = error.errors()[0]
             error = ValueError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}")
+        elif isinstance(error, ValueError) and "allow_pickle" in str(error):
+            error = ValueError("no .npz, or with pickles, which are never read")
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise DataError(f"{path}: is no checkpoint, or damaged or cut short ({reason}): start a new run") from None
     if checkpoint is None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import warnings
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -40,6 +43,7 @@ from cloudtomo_cl.inversion.uncertainty import DRAWS
 from cloudtomo_cl.memory import shape_text
 from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
 from cloudtomo_cl.opencl.memory import Footprint
+from cloudtomo_cl.parallel.ranks import Ranks
 from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Grid, mean_chord, resample_in_mask
 from cloudtomo_cl.scene.masks import checked_mask
@@ -132,8 +136,8 @@ def reconstruct(
 
     Raises
     ------
-    DataError : an array does not fit the scene's grid, no pixel sees the mask, the checkpoint
-        is of another run (the error names what differs) or cannot be written
+    DataError : an array does not fit the scene's grid, no pixel sees the mask, a number is out of range, the
+        checkpoint is of another run (the error names what differs) or cannot be written
     TransportError : a radiance, a gradient or an extinction is not finite, or diverged
     DeviceError : the device failed or has not enough memory
     """
@@ -142,14 +146,17 @@ def reconstruct(
     ranks = device.ranks
 
     def checked() -> Checkpoint | None:
+        _check_ends(time_limit, checkpoint_interval, uncertainty)
         own = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
         check(scene, measurements, stages, prior, solver, mask=mask, device=device, seed=seed, truth=truth, resume=own)
         return own
 
     resumed = ranks.together(checked)
+    stages = stages_of(scene.grid, stages, solver)
+    given = np.empty(0) if mask is None else checked_mask(mask, scene.grid)
+    _require_one_question(ranks, identity_of(scene, measurements, stages, prior, solver, given, truth, seed))
     if ranks.is_first and (unlike := unlike_prior(prior, scene.grid)):
         warnings.warn(unlike, RuntimeWarning, stacklevel=3)  # of who calls, by way of `renamed_arguments`
-    stages = stages_of(scene.grid, stages, solver)
     if mask is None:
         mask = carved_mask(scene, measurements, device) if resumed is None else resumed.mask
     question = _Question(scene, measurements, prior, checked_mask(mask, scene.grid), device)
@@ -295,6 +302,26 @@ def check(
 def _by_default(prior: AnyPrior | Regulariser | None, solver: Solver | None) -> tuple[AnyPrior | Regulariser, Solver]:
     """What is given, even if it is false in Python (an object of length 0), or what recoveries have by default."""
     return PatchPrior() if prior is None else prior, GaussNewton() if solver is None else solver
+
+
+def _require_one_question(ranks: Ranks, identity: dict[str, Any]) -> None:
+    """DataError on all ranks if they were given different things, of which they would make a mixture."""
+    # Of a user's prior or solver the text may tell its place in memory, which ranks do not share.
+    names = [name for name in identity if name not in ("prior", "solver")]
+    asked = ranks.all({name: zlib.crc32(json.dumps(identity[name]).encode()) for name in names})
+    differ = [name for name in names if len({one[name] for one in asked}) > 1]
+    if differ:
+        raise DataError(f"ranks were given different {', '.join(differ)}: all call this with the same arguments")
+
+
+def _check_ends(time_limit: Any, checkpoint_interval: Any, uncertainty: Any) -> None:
+    """DataError for what would be found wrong only after an iteration, or when the recovery is done."""
+    seconds = {"time_limit": time_limit, "checkpoint_interval": checkpoint_interval}
+    for name, value in seconds.items():
+        if not (isinstance(value, Real) and float(value) >= 0) and not (name == "time_limit" and value is None):
+            raise DataError(f"{name} is {value!r}: it must be a number of seconds, at least 0")
+    if not isinstance(uncertainty, Integral) or int(uncertainty) < 0:
+        raise DataError(f"uncertainty is {uncertainty!r}: it must be a whole number of draws, at least 0")
 
 
 def _check_start(grid: Grid, stages: Sequence[Stage], solver: Any) -> None:

@@ -1,6 +1,7 @@
-"""The folder in which drivers keep built kernels, checked before they use it: they do not say what went wrong.
+"""The folders in which drivers keep built kernels, checked before they use them: they do not say what went wrong.
 
 If the folder cannot be written, PoCL finds no device; if its disk is full, PoCL ends the process from inside LLVM.
+pyopencl keeps in another one what launches kernels, and launches none if it cannot.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from cloudtomo_cl.errors import DeviceError
 from cloudtomo_cl.memory import size_text
 
 VARIABLE = "POCL_CACHE_DIR"
+_CACHES = "XDG_CACHE_HOME"
 # Bytes of disk for all kernels, with the compilers' temporary files; and for one kernel.
 _ROOM, _ROOM_FOR_ONE = 64 * 2**20, 4 * 2**20
 _state: dict[str, Path] = {}
@@ -31,18 +33,38 @@ def prepare() -> None:
     """
     if "folder" in _state:
         return
-    folder = usual_folder()
+    folder, of_launchers = usual_folder(), _caches() / "pytools"
     if not _is_fit(folder):
-        where = Path(tempfile.gettempdir())
-        if not _is_fit(where):
-            raise DeviceError(
-                f"kernels cannot be built: {folder} cannot be written, or its disk is full, and so it is with {where}: "
-                f"make room, or name another folder in the environment variable {VARIABLE}"
-            )
-        folder = Path(tempfile.mkdtemp(prefix="cloudtomo-kernels-"))
-        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        folder = _in_place_of(folder)
         os.environ[VARIABLE] = str(folder)
+    if not _is_fit(of_launchers):
+        _keep_launchers(_in_place_of(of_launchers))
     _state["folder"] = folder
+
+
+def _in_place_of(folder: Path) -> Path:
+    """A folder for as long as the process lives. DeviceError if there is no place for it."""
+    where, variable = Path(tempfile.gettempdir()), VARIABLE if folder == usual_folder() else _CACHES
+    if not _is_fit(where):
+        raise DeviceError(
+            f"kernels cannot be built: {folder} cannot be written, or its disk is full, and so it is with {where}: "
+            f"make room, or name another folder in the environment variable {variable}"
+        )
+    temporary = Path(tempfile.mkdtemp(prefix="cloudtomo-kernels-"))
+    atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+    return temporary
+
+
+def _keep_launchers(folder: Path) -> None:
+    """Has pyopencl keep what launches kernels in a folder: it looks for one when the module is imported."""
+    before = os.environ.get(_CACHES)
+    os.environ[_CACHES] = str(folder)
+    try:
+        import pyopencl.invoker  # noqa: F401
+    finally:
+        del os.environ[_CACHES]
+        if before is not None:
+            os.environ[_CACHES] = before
 
 
 def check() -> None:
@@ -59,9 +81,12 @@ def usual_folder() -> Path:
     """The folder in which PoCL keeps built kernels by default."""
     if os.environ.get(VARIABLE):
         return Path(os.environ[VARIABLE])
-    if os.environ.get("XDG_CACHE_HOME"):
-        return Path(os.environ["XDG_CACHE_HOME"]) / "pocl" / "kcache"
-    return Path.home() / ".cache" / "pocl" / "kcache"
+    return _caches() / "pocl" / "kcache"
+
+
+def _caches() -> Path:
+    """The folder of this user's caches."""
+    return Path(os.environ[_CACHES]) if os.environ.get(_CACHES) else Path.home() / ".cache"
 
 
 def _is_fit(folder: Path) -> bool:

@@ -6,6 +6,7 @@ Radii are in micrometres, wavelengths in nm, liquid water in g m^-3, extinction 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -85,12 +86,10 @@ def extinction_from_water(
 
     Raises
     ------
-    DataError : water that is negative or not finite; a radius that is not positive, or outside of
+    DataError : shapes that differ; water that is negative or not finite; a radius that is not positive, or outside of
         the table, where there is water
     """
-    water, radius = np.broadcast_arrays(
-        *(np.asarray(filled(values), np.float64) for values in (liquid_water_content, effective_radius))
-    )
+    water, radius = _together(liquid_water_content=liquid_water_content, effective_radius=effective_radius)
     if not (np.isfinite(water) & (water >= 0)).all():
         raise DataError("liquid_water_content must be finite and at least 0 g m^-3 everywhere")
     wet = water > 0
@@ -100,6 +99,18 @@ def extinction_from_water(
     extinction = np.zeros(water.shape)
     extinction[wet] = water[wet] * _mass_extinction(efficiency, radius[wet]) * _METRES_PER_KILOMETRE
     return extinction
+
+
+def _together(**given: Any) -> list[np.ndarray]:
+    """Arrays of one shape, double precision. DataError if their shapes do not belong together."""
+    arrays = {name: np.asarray(filled(values), np.float64) for name, values in given.items()}
+    try:
+        return list(np.broadcast_arrays(*arrays.values()))
+    except ValueError:
+        shapes = " and ".join(f"{name} {array.shape}" for name, array in arrays.items())
+        raise DataError(
+            f"shapes do not belong together: {shapes}: give both the same, or the last as a number"
+        ) from None
 
 
 def extinction_at(
@@ -125,11 +136,9 @@ def extinction_at(
 
     Raises
     ------
-    DataError : a radius that is not positive, or outside of a table, where there is cloud
+    DataError : shapes that differ; a radius that is not positive, or outside of a table, where there is cloud
     """
-    values, radius = np.broadcast_arrays(
-        *(np.asarray(filled(given), np.float64) for given in (extinction, effective_radius))
-    )
+    values, radius = _together(extinction=extinction, effective_radius=effective_radius)
     cloudy = values > 0
     if not (np.isfinite(radius[cloudy]) & (radius[cloudy] > 0)).all():
         raise DataError("effective_radius must be finite and greater than 0 micrometres where there is cloud")

@@ -20,6 +20,8 @@ from cloudtomo_cl.scene.sensors import RayView, View
 
 # Least share of a larger pixel that must be valid: half, up to rounding.
 _LEAST_VALID = 0.5 - 1e-9
+# From here on a number is no radiance but a mark for invalid pixels.
+BEYOND_RADIANCES = 1e16
 # Relative difference below which wavelengths count as the same.
 _SAME_WAVELENGTH = 1e-5
 # Standard errors of views: upper bound, beyond which a camera is not known at all, and the allowed range in words.
@@ -80,8 +82,7 @@ class Measurements:
 
     def __post_init__(self) -> None:
         for name in ("images", "standard_errors"):
-            # A masked pixel is an invalid one.
-            object.__setattr__(self, name, tuple(map(filled, getattr(self, name))))
+            object.__setattr__(self, name, tuple(_radiances(array, name) for array in getattr(self, name)))
         if not self.views:
             raise DataError("measurements: there is no view: at least one image is needed")
         for name, arrays in (("images", self.images), ("standard_errors", self.standard_errors)):
@@ -100,6 +101,13 @@ class Measurements:
                     where = f"view {index} are not finite at row {row}, column {column}"
                     hint = "" if name == "standard_errors" else ": set the radiance of invalid pixels to NaN"
                     raise DataError(f"measurements: {name} of {where}{hint}")
+                beyond = ~bad & ~(np.abs(array) < BEYOND_RADIANCES)
+                if beyond.any():
+                    row, column = np.argwhere(beyond)[0]
+                    raise DataError(
+                        f"measurements: {name} of view {index} have {array[row, column]:g} at row {row}, column "
+                        f"{column}: they must be below {BEYOND_RADIANCES:g} W m^-2 sr^-1; set invalid pixels to NaN"
+                    )
                 if bad.all():
                     raise DataError(f"measurements: all pixels of view {index} are bad: leave the view out")
         for name, (below, allowed) in _ERRORS_OF_VIEWS.items():
@@ -218,6 +226,19 @@ class Measurements:
             difference = modelled.images[index] - image
             differences.append(np.divide(difference, error, out=np.full(image.shape, np.nan), where=error > 0))
         return differences
+
+
+def _radiances(array: Any, name: str) -> np.ndarray:
+    """An array in a precision that holds squares of radiances; masked pixels are invalid ones.
+
+    Raises
+    ------
+    DataError : it holds no real numbers
+    """
+    array = filled(array)
+    if array.dtype.kind not in "biuf":
+        raise DataError(f"measurements: {name} are of type {array.dtype}: they must be real numbers")
+    return array if array.dtype.kind == "f" and array.itemsize >= 4 else array.astype(np.float64)
 
 
 def check_wavelength(scene: Scene, measurements: Measurements) -> None:

@@ -13,6 +13,7 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import NotNegative
+from cloudtomo_cl.scene.seeds import checked_seed
 
 # Default ratio of full_radiance to the brightest pixel's radiance: the brightest pixel fills 80 % of its well.
 _HEADROOM = 1.25
@@ -68,8 +69,10 @@ class Noise:
 
         Raises
         ------
-        DataError : no pixel shows any light, and no full_radiance is given; an image is saturated as a whole
+        DataError : no pixel shows any light, and no full_radiance is given; an image is saturated as a whole; seed or
+            stream is no whole number of 32 bits
         """
+        seed, stream = checked_seed(seed), checked_seed(stream, "stream")
         full = self.full_radiance
         if full is None:
             full = _HEADROOM * max(float(np.nanmax(image)) for image in measurements.images)

@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.errors import InvalidSettingError
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.scene.arrays import filled
 
@@ -169,14 +170,16 @@ class TabulatedPhaseFunction:
 
         Raises
         ------
-        ValueError : a row whose integral is zero or not finite, and as the class does
+        InvalidSettingError : a row whose integral is zero or not finite, and as the class does
         """
         angle = np.asarray(filled(angle), dtype=np.float64)
         values = np.atleast_2d(np.asarray(filled(values), dtype=np.float64))
         if angle.ndim == 1 and values.shape[1:] == angle.shape and len(angle) >= 2:
             integral = sphere_integral(angle, values)
             if not (np.isfinite(integral) & (integral > 0)).all():
-                raise ValueError(f"values integrate to {list(integral)} over the sphere: they cannot be normalised")
+                raise InvalidSettingError(
+                    f"values integrate to {list(integral)} over the sphere: they cannot be normalised"
+                )
             values = values / integral[:, None]
         return cls(angle, values, effective_radius, single_scattering_albedo)
 

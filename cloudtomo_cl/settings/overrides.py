@@ -29,7 +29,8 @@ def with_overrides(tables: dict[str, Any], overrides: Sequence[str]) -> dict[str
 
     Raises
     ------
-    SettingsError : no key, a key inside of something that is no table, no such entry of a list
+    SettingsError : no key, a key inside of something that is no table, no such entry of a list, half a list or table,
+        several keys
     """
     try:
         tables = copy.deepcopy(tables)
@@ -57,7 +58,7 @@ def with_overrides(tables: dict[str, Any], overrides: Sequence[str]) -> dict[str
             _entry(override, node, last)
         elif not isinstance(last, str):
             _entry(override, node, last)
-        node[last] = _value(text.strip())
+        node[last] = _value(override, text.strip())
     return tables
 
 
@@ -71,8 +72,18 @@ def _entry(override: str, node: Any, part: Any) -> Any:
     return node[part]
 
 
-def _value(text: str) -> Any:
+def _value(override: str, text: str) -> Any:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except (RecursionError, ValueError):  # no TOML, or a number with too many digits
+        tables = tomllib.loads(f"value = {text}")
+    except RecursionError:
         return text
+    except ValueError as error:  # no TOML, or a number with too many digits
+        if re.match(r"[\[{\"']", text):
+            raise SettingsError(
+                f"--set {override}: begins like a list, a table or a text of TOML and is none ({error}): write for "
+                "instance [0.5, 1.0], with a digit on both sides of a point"
+            ) from None
+        return text
+    if len(tables) > 1:
+        raise SettingsError(f"--set {override}: has more lines than one: give each key a --set of its own")
+    return tables["value"]

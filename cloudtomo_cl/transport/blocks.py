@@ -68,7 +68,7 @@ def voxel_blocks(mask: np.ndarray, pixel_blocks: int) -> Blocks:
     """
     places = np.argwhere(mask)
     edge = _VOXEL_EDGE
-    while edge < 2 * max(mask.shape):
+    while edge < 2 * max(*mask.shape, _VOXEL_EDGE):
         blocks = Blocks.by_label(places // edge)
         if len(blocks) * pixel_blocks <= MOST_PAIRS:
             return blocks

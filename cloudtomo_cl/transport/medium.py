@@ -143,6 +143,8 @@ class Medium:
         if self.device.is_array(extinction):
             beta = extinction
         else:
+            if extinction.dtype.kind == "c":
+                raise DataError("extinction is complex: it must be real numbers, km^-1")
             values = np.ascontiguousarray(extinction, np.float32)
             check_extinction(values)
             if self._radius is not None:

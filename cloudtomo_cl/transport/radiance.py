@@ -324,8 +324,9 @@ class RadianceOperator:
         """
         if rendering._launches is None:
             raise DataError("this rendering kept no paths: render with store_paths=True")
-        if adjoint.shape != (len(self.pixels), 2):
-            raise DataError(f"adjoint has shape {adjoint.shape}, not ({len(self.pixels)}, 2)")
+        adjoint = np.asarray(adjoint)
+        if adjoint.shape != (len(self.pixels), 2) or adjoint.dtype.kind not in "iuf":
+            raise DataError(f"adjoint is {adjoint.dtype} {adjoint.shape}: it must be numbers ({len(self.pixels)}, 2)")
         if filling_limit is not None and not 0 <= filling_limit < np.inf:
             raise DataError(f"filling_limit is {filling_limit}: it must be finite and at least 0 km^-1")
         deposit = partial(self._replay, rendering, filling_limit)
@@ -373,7 +374,13 @@ class RadianceOperator:
         check_replays(int(astray.get()[0]), rendering.samples * len(self.pixels))
 
     def images(self, values: np.ndarray) -> list[np.ndarray]:
-        """Values per pixel as one image (rows, columns) per view; NaN where no pixel is."""
+        """Values per pixel as one image (rows, columns) per view; NaN where no pixel is.
+
+        Raises DataError if there is not one value for each pixel.
+        """
+        values = np.asarray(values)
+        if values.shape != (len(self.pixels),):
+            raise DataError(f"values have shape {values.shape}: one is needed for each of {len(self.pixels)} pixels")
         images = [np.full(view.pixels[0] * view.pixels[1], np.nan) for view in self.views]
         for index, image in enumerate(images):
             chosen = self.pixels[:, 0] == index

@@ -154,6 +154,10 @@ def test_blocks_of_voxels_grow_with_the_number_of_pixels(monkeypatch):
     assert len(voxel_blocks(mask, 10)) == 512 and len(voxel_blocks(mask, 100)) == 64
 
 
+def test_a_single_voxel_is_a_block():
+    assert len(voxel_blocks(np.ones((1, 1, 1), bool), 96)) == 1
+
+
 @pytest.mark.parametrize(("place", "what"), [(0, "the radiance table"), (1, "the Jacobian")])
 def test_sums_that_overflow_are_told_in_the_same_words(extinction, device, monkeypatch, place, what):
     """As if the kernels had found one: their flags are the arrays of one number; the table's comes first."""

@@ -1,6 +1,7 @@
 """Settings in Python are answered as those in a file: one of the package's errors, what is wrong, what was meant."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -134,3 +135,77 @@ def test_solvers_take_no_paths_for_none(measurements, device, solver):
     problem = ct.Problem.of(SCENE, measurements, mask=CLOUD > 0, prior=ct.Prior(), device=device, samples=0)
     with pytest.raises(ct.DataError, match="samples is 0: it must be even and at least 2"):
         solver.step(problem, solver.init(problem, CLOUD.reshape(-1)), seed=0, stream=1)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"uncertainty": -1},
+        {"uncertainty": 2.5},
+        {"time_limit": "60"},
+        {"time_limit": float("nan")},
+        {"time_limit": -1.0},
+        {"checkpoint_interval": None},
+        {"checkpoint_interval": float("nan")},
+    ],
+    ids=str,
+)
+def test_what_a_recovery_needs_late_is_looked_at_before_it_begins(measurements, device, given):
+    with pytest.raises(ct.DataError, match=f"{next(iter(given))} is .*: it must be"):
+        ct.reconstruct(SCENE, measurements, mask=CLOUD > 0, solver=Empty(), device=device, **given)
+
+
+ANGLE = (0.0, 90.0, 180.0)
+
+
+@pytest.mark.parametrize(
+    ("use", "message"),
+    [
+        (lambda operator: operator.render(CLOUD, "64"), "samples is '64': it must be a whole number"),
+        (lambda operator: operator.render(CLOUD, 4, first_sample=None), "first_sample is None: it must be a whole"),
+        (lambda operator: operator.render(CLOUD + 1j, 4), "extinction is complex"),
+        (lambda operator: operator.images(np.zeros(3)), r"values have shape \(3,\): one is needed for each"),
+        (
+            lambda operator: operator.gradient(operator.render(CLOUD, 4, store_paths=True), None),
+            r"adjoint is object \(\): it must be numbers",
+        ),
+        (lambda operator: ct.cumulus(SCENE.grid, seed=-1), "seed is -1: it must be a whole number"),
+        (lambda operator: ct.cumulus(SCENE.grid, seed=2.5), "seed is 2.5: it must be a whole number"),
+        (lambda operator: ct.TabulatedPhaseFunction.normalised(ANGLE, [0, 0, 0]), "cannot be normalised"),
+        (lambda operator: ct.extinction_from_water(np.ones(3), np.ones(2)), r"liquid_water_content \(3,\) and eff"),
+        (lambda operator: ct.extinction_at(np.ones(3), np.ones(2), None), r"extinction \(3,\) and effective_radius"),
+    ],
+)
+def test_arguments_of_functions_are_answered_too(device, use, message):
+    with pytest.raises(ct.CloudtomoError, match=message):
+        use(ct.RadianceOperator(SCENE, [VIEW], device))
+
+
+@pytest.mark.parametrize("seed", [-1, None, 1.5])
+def test_a_camera_needs_a_seed(measurements, seed):
+    with pytest.raises(ct.DataError, match="seed is .*: it must be a whole number"):
+        ct.Noise(full_well=1e4).added_to(measurements, seed=seed)
+
+
+def test_the_gradient_takes_lists(device):
+    operator = ct.RadianceOperator(SCENE, [VIEW], device)
+    rendering = operator.render(CLOUD, 4, store_paths=True)
+    ones = np.ones((len(operator.pixels), 2))
+    np.testing.assert_array_equal(*(operator.gradient(rendering, given).get() for given in (ones, ones.tolist())))
+
+
+def test_who_reads_no_pickles_advises_none(tmp_path):
+    (tmp_path / "checkpoint.npz").write_text("x")
+    with pytest.raises(ct.DataError, match="is no checkpoint") as error:
+        ct.read_checkpoint(tmp_path / "checkpoint.npz")
+    assert "unsafely" not in str(error.value)
+
+
+def test_ranks_that_are_asked_different_things_say_which(measurements):
+    def work(device):
+        images = tuple(image * (1 + device.ranks.rank) for image in measurements.images)
+        given = replace(measurements, images=images)
+        ct.reconstruct(SCENE, given, mask=CLOUD > 0, solver=Empty(), device=device, seed=device.ranks.rank)
+
+    with pytest.raises(ct.DataError, match="ranks were given different seed, images: all call this with the same"):
+        ct.on_devices((0, 0), work)

@@ -312,6 +312,18 @@ def test_seed_must_be_of_32_bits(capsys):
     assert exit_.value.code == 2
 
 
+@pytest.mark.parametrize(
+    "command", ["reconstruct run.toml --output=", "render scene.toml --output i.nc --png=", "init example --output="]
+)
+def test_a_folder_without_a_name_is_not_the_one_of_the_moment(folder, rendered, capsys, command):
+    """As of `--output "$OUT"` in a shell where OUT is not set."""
+    Path("images.nc").write_bytes(rendered)
+    before = sorted(Path().iterdir())
+    with pytest.raises(SystemExit) as exit_:
+        main(command.split())
+    assert exit_.value.code == 2 and "is empty" in capsys.readouterr().err and sorted(Path().iterdir()) == before
+
+
 def test_reconstruct_writes_a_run_folder(folder, rendered, whole_figures, capsys):
     Path("images.nc").write_bytes(rendered)
     assert main("reconstruct run.toml --seed 2 --output run".split()) == 0

@@ -21,6 +21,20 @@ def test_a_kernel_cache_that_cannot_be_written_is_replaced(tmp_path):
     assert "cloudtomo-kernels-" in done.stdout and not os.path.exists(done.stdout.strip())
 
 
+def test_caches_that_cannot_be_written_are_replaced(tmp_path):
+    """As in a container, or on a node, without a home: pyopencl's own cache, too, lies there."""
+    (tmp_path / "file").touch()
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "file"), "POCL_CACHE_DIR": ""}
+    code = (
+        "import cloudtomo_cl as ct, os; grid = ct.Grid((1, 1, 1), (1, 1, 1)); "
+        "view = ct.OrthographicView(width=1.0, zenith=0.0, pixels=(1, 1)); "
+        "ct.RadianceOperator(ct.Scene(grid, ct.Sun(0.0)), [view]).render([[[1.0]]], 2); "
+        "print(os.environ['XDG_CACHE_HOME'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stderr) == (0, "") and done.stdout.strip() == str(tmp_path / "file")
+
+
 def full(folder):
     return shutil._ntuple_diskusage(100, 100, 0)
 

@@ -43,6 +43,35 @@ def test_negative_standard_errors_are_refused(random):
         Measurements((view,), (np.ones((4, 4)),), (np.full((4, 4), -1.0),))
 
 
+@pytest.mark.parametrize("kind", [np.int16, np.uint8, np.float16])
+def test_numbers_of_a_camera_are_squared_as_what_they_are(kind):
+    """Squares of small integers ran over, and weights became NaN."""
+    view = OrthographicView(zenith=0, width=1.0, pixels=(4, 4))
+    grid = Grid(shape=(2, 2, 2), spacing=(0.4, 0.4, 0.4))
+    counts = np.arange(200, 216).reshape(4, 4)
+    found = [
+        active_pixels(Measurements((view,), (values,), (values,)), grid, np.ones(grid.shape, bool)).weights
+        for values in (counts.astype(kind), counts.astype(float))
+    ]
+    np.testing.assert_array_equal(*found)
+
+
+@pytest.mark.parametrize("values", [np.full((4, 4), 1j), np.full((4, 4), "0.1"), np.full((4, 4), None)])
+def test_radiances_are_real_numbers(values):
+    view = OrthographicView(zenith=0, width=1.0, pixels=(4, 4))
+    with pytest.raises(DataError, match="images are of type .*: they must be real numbers"):
+        Measurements((view,), (values,), (np.ones((4, 4)),))
+
+
+@pytest.mark.parametrize("name", ["images", "standard_errors"])
+def test_marks_for_invalid_pixels_are_no_radiances(name):
+    view = OrthographicView(zenith=0, width=1.0, pixels=(4, 4))
+    given = {"images": np.ones((4, 4)), "standard_errors": np.ones((4, 4))}
+    given[name][1, 2] = 9.96921e36
+    with pytest.raises(DataError, match=rf"{name} of view 0 have 9.96921e\+36 at row 1, column 2"):
+        Measurements((view,), **{key: (values,) for key, values in given.items()})
+
+
 def test_shares_keep_at_least_eight_pixels(random):
     assert measurements(random, 40, 20).at_share(0.25).views[0].pixels == (10, 8)
 

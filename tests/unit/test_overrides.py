@@ -43,6 +43,9 @@ def test_what_was_read_stays_as_it_was():
         ("view.pixels=[1, 1]", r"view\[0\].pixels"),
         ("view[2].pixels=[1, 1]", "the list has 2"),
         ("sun[0].zenith=3", "no entry|no list|is no table"),
+        ("grid.spacing=[.08, .08, .08]", "is none .*: write for instance"),
+        ("cloud={file=cloud.nc}", "is none .*: write for instance"),
+        ("sun.zenith=3\nsun.azimuth=4", "more lines than one"),
     ],
 )
 def test_what_cannot_be_set_is_said(override, message):
