@@ -73,19 +73,15 @@ __kernel void trace_photons(TRACE_PHOTONS_PARAMETERS)
     tally.budget = own_budget;
     tally.sums = group_budget;
     tally.columns = columns;
-    for (bool walks = false;;) {
+    for (bool walks = false; walks || next_turn(&turn);) {
         if (!walks) {
-            if (!next_turn(&turn))
-                break;
             const uint sample = first_sample + turn.item / pixel_count;
             const SampleKey own = sample_key(seed, 0u, (uint2)(SUN_VIEW, turn.item % pixel_count), sample);
             clear_budget(own_budget);
             keep_key(key, &own);
             start_path(at, camera_ray(scene, sun_view, 0, &own));
         }
-        do
-            walks = walk_event(&medium, at, key, &tally);
-        while (walks && !REGENERATES);
+        walks = walk_turn(&medium, at, key, &tally);
     }
     close_group_budget(group_budget, budget);
 }

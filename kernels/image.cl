@@ -44,10 +44,8 @@ __kernel void render_paths(RENDER_PATHS_PARAMETERS)
     Tally tally;
     tally.budget = own_budget;
     tally.sums = group_budget;
-    for (bool walks = false;;) {
+    for (bool walks = false; walks || next_turn(&turn);) {
         if (!walks) {
-            if (!next_turn(&turn))
-                break;
             path = path_of_item(turn.item, pixel_count, path_count);
             const uint2 pixel = pixels[path % pixel_count];
             const SampleKey own = sample_key(seed, stream, pixel, first_sample + path / pixel_count);
@@ -57,9 +55,7 @@ __kernel void render_paths(RENDER_PATHS_PARAMETERS)
             keep_key(key, &own);
             start_path(at, camera_ray(scene, views + pixel.x, rays, &own));
         }
-        do
-            walks = walk_event(&medium, at, key, &tally);
-        while (walks && !REGENERATES);
+        walks = walk_turn(&medium, at, key, &tally);
         if (!walks)
             path_radiance[path] = tally.radiance;
     }

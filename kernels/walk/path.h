@@ -26,6 +26,7 @@
 #define CLOUDTOMO_PATH_H
 
 #include "walk/event.h"
+#include "walk/turns.h"
 
 /* Paths of smaller throughput go on with the probability throughput / PATH_ROULETTE_THROUGHPUT. */
 #define PATH_ROULETTE_THROUGHPUT 0.1f
@@ -102,6 +103,17 @@ inline bool walk_event(const Medium *medium, KEPT Interaction *at, const KEPT Sa
     keep_vector(&at->ray.direction, kept_vector(&at->new_direction));
     ++at->event;
     return true;
+}
+
+/* Walks a path from an interaction as far as a work item does before it looks for another path (turns.h): to its end, or
+ * to the next interaction. Returns false if the path has ended. */
+inline bool walk_turn(const Medium *medium, KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally)
+{
+    bool walks;
+    do
+        walks = walk_event(medium, at, key, tally);
+    while (walks && !REGENERATES);
+    return walks;
 }
 
 /* Walks a path from an interaction to its end. */
