@@ -367,8 +367,8 @@ class Device:
         """Work items of the first launch of a kind; on a GPU the number of paths, enough for all compute units."""
         if not self.regenerates:
             return _FIRST_LAUNCH
-        filled = _GROUPS_OF_UNIT * self.group_size * int(self.opencl.max_compute_units)
-        return min(max(_FIRST_LAUNCH, filled), self.largest_launch)
+        enough = _GROUPS_OF_UNIT * self.group_size * int(self.opencl.max_compute_units)
+        return min(max(_FIRST_LAUNCH, enough), self.largest_launch)
 
     @property
     def largest_launch(self) -> int:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.scene.arrays import filled
+from cloudtomo_cl.scene.arrays import unmasked
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
 
 # Density of liquid water, g m^-3.
@@ -89,7 +89,7 @@ def extinction_from_water(
         the table, where there is water
     """
     water, radius = np.broadcast_arrays(
-        *(np.asarray(filled(values), np.float64) for values in (liquid_water_content, effective_radius))
+        *(np.asarray(unmasked(values), np.float64) for values in (liquid_water_content, effective_radius))
     )
     if not (np.isfinite(water) & (water >= 0)).all():
         raise DataError("liquid_water_content must be finite and at least 0 g m^-3 everywhere")
@@ -128,7 +128,7 @@ def extinction_at(
     DataError : a radius that is not positive, or outside of a table, where there is cloud
     """
     values, radius = np.broadcast_arrays(
-        *(np.asarray(filled(given), np.float64) for given in (extinction, effective_radius))
+        *(np.asarray(unmasked(given), np.float64) for given in (extinction, effective_radius))
     )
     cloudy = values > 0
     if not (np.isfinite(radius[cloudy]) & (radius[cloudy] > 0)).all():

@@ -10,7 +10,7 @@ import numpy as np
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.renamed import renamed_attributes
-from cloudtomo_cl.scene.arrays import filled
+from cloudtomo_cl.scene.arrays import unmasked
 from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.grid import Grid, resample
 from cloudtomo_cl.scene.pixel_errors import pooled_standard_errors
@@ -34,7 +34,9 @@ class _Renders(Protocol):
     """What makes images of a rendering: a `RadianceOperator`, which this layer must not import."""
 
     scene: Scene
-    views: tuple[View, ...]
+
+    @property
+    def views(self) -> tuple[View, ...]: ...
 
     def images(self, values: np.ndarray, /) -> list[np.ndarray]: ...
 
@@ -81,7 +83,7 @@ class Measurements:
     def __post_init__(self) -> None:
         for name in ("images", "standard_errors"):
             # A masked pixel is an invalid one.
-            object.__setattr__(self, name, tuple(map(filled, getattr(self, name))))
+            object.__setattr__(self, name, tuple(map(unmasked, getattr(self, name))))
         if not self.views:
             raise DataError("measurements: there is no view: at least one image is needed")
         for name, arrays in (("images", self.images), ("standard_errors", self.standard_errors)):

@@ -74,12 +74,12 @@ class NearEntries:
                 )  # fmt: skip
 
         counts = device.zeros(max(len(tiles), 1), np.uint32)
-        launch("near_count", counts=counts)
+        launch("count_near", counts=counts)
         self.start_on_host = np.concatenate([[0], np.cumsum(counts.get()[: len(tiles)], dtype=np.int64)])
         self.count = int(self.start_on_host[-1])
         self.start = device.constant(self.start_on_host.astype(np.uint32))
         self.columns = device.empty(max(self.count, 1), np.int32)
-        launch("near_fill", row_start=self.start, columns=self.columns)
+        launch("list_near", row_start=self.start, columns=self.columns)
 
 
 class JacobianStructure:
