@@ -93,6 +93,8 @@ TESTS: dict[str, tuple[str, ...]] = {
     "*/inversion/priors.py": (UNIT + "own_prior", KERNELS + "prior", UNIT + "uncertainty",
                               KERNELS + "finite_differences", SYSTEM + "inversion"),
     "*/inversion/patch*.py": (UNIT + "patch_prior",),
+    "*/inversion/halo.py": (UNIT + "patch_prior",),
+    "*/inversion/stencil.py": (UNIT + "patch_prior",),
     "*/inversion/learning.py": (UNIT + "learn_prior",),
     "*/commands/prior.py": (UNIT + "learn_prior",),
     "*/inversion/mixture*.py": (UNIT + "patch_prior", UNIT + "learn_prior"),

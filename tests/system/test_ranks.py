@@ -147,7 +147,7 @@ def test_a_rank_has_a_part_of_the_patch_prior():
     def tiles(own):
         voxels = Voxels(GRID, np.ones(GRID.shape, bool))
         prior = stage_prior(ct.PatchPrior(), voxels, own).frozen(extinction().reshape(-1).astype(float))
-        return own.ranks.all(prior.inner._quadratic._tiles)
+        return own.ranks.all(len(prior.inner._quadratic._stencil))
 
     (whole,), parts = on_devices([0], tiles), on_devices([0] * 3, tiles)
     assert sum(parts) == whole and max(parts) < 0.5 * whole
