@@ -71,8 +71,8 @@ class _Reordered:
         del columns, numbers
         self._device, self._count, self._by_row = structure.device, entries.count, near
         self.shares = structure.voxel_shares
-        self.blocks = np.arange(len(structure.voxel_blocks))
-        self.block, self.pixel_block = structure.block, structure.pixel_block
+        self.blocks = np.arange(len(structure.far.voxel_blocks))
+        self.block, self.pixel_block = structure.far.voxel_block, structure.far.pixel_block
         constant = structure.device.constant
         self.start = constant(by_column.indptr.astype(np.uint32))
         self._entries = constant(by_column.data)
@@ -101,19 +101,19 @@ class _Exchanged:
         rows = np.repeat(structure.shares.own.astype(np.int32), np.diff(structure.near.start_on_host))
         column, row = self._exchanged(columns), self._exchanged(rows)
         del rows, columns
-        self._pixel_blocks = len(structure.pixel_blocks)
+        self._pixel_blocks = len(structure.far.pixel_blocks)
         self._ranks.together(lambda: self._place_columns(column, row, structure.voxels))
-        self._rows_of = self._ranks.all(structure.row_blocks)
+        self._rows_of = self._ranks.all(structure.far.row_blocks)
         self._blocks_of = self._ranks.all(self.blocks)
 
     def _sorted(self, structure: JacobianStructure) -> tuple[np.ndarray, np.ndarray]:
         """Sorts this rank's entries by who has their voxels; returns their columns, and how many go to each rank."""
         assert self.shares.owner is not None
-        own_blocks = self.shares.taken(structure.voxel_blocks.of)
+        own_blocks = self.shares.taken(structure.far.voxel_blocks.of)
         block = np.zeros(structure.voxels, np.int32)
         self.blocks, block[self.shares.own] = np.unique(own_blocks, return_inverse=True)
         self.block = self._device.constant(block)
-        self.pixel_block = self._device.constant(structure.pixel_blocks.of.astype(np.uint32))
+        self.pixel_block = self._device.constant(structure.far.pixel_blocks.of.astype(np.uint32))
         # In the order of pixels and slots, for every rank: so all have it.
         columns = self._device.copied(structure.near.columns)[: structure.near.count]
         owner = self.shares.owner[columns]
