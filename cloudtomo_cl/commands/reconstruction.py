@@ -223,7 +223,7 @@ def execute(job: Job) -> Outcome:
                 time_limit=job.settings.run.time_limit,
                 truth=job.truth,
                 callback=record,
-                checkpoint=job.folder.checkpoint_file,
+                checkpoint=job.folder.files.checkpoint,
                 checkpoint_interval=job.settings.run.checkpoint_interval,
                 resume=job.resumed,
                 stop=stop,
@@ -231,7 +231,7 @@ def execute(job: Job) -> Outcome:
             )
     except (DeviceError, DataError) as error:
         # Of the device, or of the disk: both may be in order tomorrow.
-        kept = job.folder.checkpoint_file
+        kept = job.folder.files.checkpoint
         if kept.is_file() and (job.folder.started or isinstance(error, DeviceError)):
             again = type(error)(f"{error}\nwhat was reached is kept in {kept}: {job.request.resume_command}")
             vars(again).update(vars(error))
@@ -332,7 +332,7 @@ def _show_result(job: Job, outcome: Outcome) -> None:
     write_modelled(job.folder, job.scene, measurements, result.extinction, job.device, job.seed, stream)
     if job.request.with_report:
         ranks.check_together()
-        job.say(f"drawing figures and {job.folder.report_file} ...")
+        job.say(f"drawing figures and {job.folder.files.report} ...")
         ranks.first_alone(lambda: make_report(job.folder, quiet=True))
     job.say(f"{_summary(result, job.truth)}  {output}")
 
