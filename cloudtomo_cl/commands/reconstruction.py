@@ -33,7 +33,8 @@ from cloudtomo_cl.inversion.reconstruct import check, check_memory, reconstruct
 from cloudtomo_cl.inversion.records import COLUMNS, IterationRecord, Reconstruction
 from cloudtomo_cl.inversion.run import records
 from cloudtomo_cl.inversion.stages import stages_of
-from cloudtomo_cl.opencl.device import Device, choose_device
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.devices import choose_device
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.metrics import delta, epsilon
 from cloudtomo_cl.scene.scene import Scene

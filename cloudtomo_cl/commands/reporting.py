@@ -24,7 +24,7 @@ from cloudtomo_cl.files.vti import write_vti
 from cloudtomo_cl.files.whole import written_whole
 from cloudtomo_cl.inversion.records import MASK, STANDARD_ERROR, VARIABLES
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
-from cloudtomo_cl.opencl.device import choose_device
+from cloudtomo_cl.opencl.devices import choose_device
 from cloudtomo_cl.report import plots
 from cloudtomo_cl.report.page import report_page
 from cloudtomo_cl.scene.grid import Grid

@@ -11,7 +11,8 @@ from cloudtomo_cl.inversion.patch_kernels import PatchKernels
 from cloudtomo_cl.inversion.patches import Patches
 from cloudtomo_cl.inversion.stencil import StencilTiles
 from cloudtomo_cl.inversion.vectors import Vectors
-from cloudtomo_cl.opencl.device import Device, device_errors
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.transport.voxel_shares import voxel_shares
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from cloudtomo_cl.inversion.patch_components import Components
 from cloudtomo_cl.inversion.patch_operator import PatchOperator
 from cloudtomo_cl.opencl.arrays import DeviceArray
-from cloudtomo_cl.opencl.device import device_errors
+from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.opencl.gathering import Gathering
 
 

@@ -21,7 +21,8 @@ from cloudtomo_cl.inversion.vectors import Vectors
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.arrays import DeviceArray
-from cloudtomo_cl.opencl.device import Device, device_errors
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import NotNegative, Positive

@@ -17,7 +17,9 @@ from cloudtomo_cl.inversion.pixels import ActivePixels, active_pixels
 from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser, stage_prior
 from cloudtomo_cl.inversion.stage_prior import StagePrior
 from cloudtomo_cl.inversion.voxels import Voxels
-from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.devices import choose_device
+from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.scene.arrays import unmasked
 from cloudtomo_cl.scene.grid import Grid, coarsened
 from cloudtomo_cl.scene.masks import checked_mask

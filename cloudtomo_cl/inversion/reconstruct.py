@@ -38,7 +38,9 @@ from cloudtomo_cl.inversion.stages import Stage, stages_of
 from cloudtomo_cl.inversion.start import uniform_start
 from cloudtomo_cl.inversion.uncertainty import DRAWS
 from cloudtomo_cl.memory import shape_text
-from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.devices import choose_device
+from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Grid, mean_chord, resample_in_mask

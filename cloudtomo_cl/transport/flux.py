@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.devices import choose_device
+from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.opencl.fixed_point import summed
 from cloudtomo_cl.opencl.layout import FLUXES, MOST_SAMPLES, WEIGHT_UNIT, sun_view_struct
 from cloudtomo_cl.opencl.pace import Pace

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from cloudtomo_cl.opencl.arrays import DeviceArray
-from cloudtomo_cl.opencl.device import device_errors
+from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.opencl.fixed_point import overflow
 from cloudtomo_cl.opencl.layout import DERIVATIVE_UNIT
 from cloudtomo_cl.transport.jacobian import SLOTS_AT_ONCE, Jacobian

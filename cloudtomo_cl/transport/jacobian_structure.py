@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from cloudtomo_cl.opencl.device import device_errors
+from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.transport.far_field import FarField
 from cloudtomo_cl.transport.near_field import NearField
 from cloudtomo_cl.transport.radiance import RadianceOperator

@@ -12,7 +12,9 @@ import numpy as np
 from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.memory import voxels_of
 from cloudtomo_cl.opencl.arrays import DeviceArray
-from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.devices import choose_device
+from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.opencl.pace import Pace
 from cloudtomo_cl.parallel.ranks import Ranks, Shares
 from cloudtomo_cl.renamed import renamed_arguments, renamed_attributes

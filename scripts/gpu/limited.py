@@ -14,7 +14,8 @@ import numpy as np
 from benchmarks.scenes import Case, generated, scene_c
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.opencl.device import Device, choose_device
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.devices import choose_device
 from gpu.rows import Row, failed
 
 _PART = "registers"
@@ -36,7 +37,7 @@ def used(device: Device) -> str:
     import pyopencl
 
     said = ""
-    for program in device._programs.values():
+    for program in device._programs:
         log = program.get_build_info(device.opencl, pyopencl.program_build_info.LOG)
         for name, rest in re.findall(r"entry function '(\w+)'(.*?Used \d+ registers)", log, flags=re.DOTALL):
             spills = re.search(r"(\d+) bytes spill stores, (\d+) bytes spill loads", rest)
