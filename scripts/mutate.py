@@ -83,6 +83,7 @@ TESTS: dict[str, tuple[str, ...]] = {
                                 KERNELS + "audit", UNIT + "device_errors"),
     "*/transport/*": (*TABLE, KERNELS + "finite_differences", KERNELS + "tallies", SYSTEM + "problem"),
     "*/inversion/carving.py": (UNIT + "carve", SYSTEM + "carving"),
+    "*/inversion/checks.py": (UNIT + "memory", UNIT + "bad_input", SYSTEM + "inversion"),
     "*/inversion/checkpoint.py": (UNIT + "checkpoint", UNIT + "learn_prior", SYSTEM + "resume"),
     "*/inversion/conjugate_gradients.py": (UNIT + "conjugate_gradients", UNIT + "uncertainty"),
     "*/inversion/*terms.py": (UNIT + "conjugate_gradients", UNIT + "uncertainty"),
