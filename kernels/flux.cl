@@ -49,16 +49,7 @@ inline void on_interaction(const Medium *medium, const Segment *segment, const F
 
 inline void on_scattering(const Medium *medium, const KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally) {}
 
-inline void on_roulette(float throughput, float raised, bool survives, Tally *tally)
-{
-    budget_roulette(tally->budget, throughput, raised, survives);
-}
-
-inline void on_termination(Termination termination, float throughput, Tally *tally)
-{
-    budget_termination(tally->budget, termination, throughput, tally->sums);
-}
-
+#include "walk/budgeted.h"
 #include "walk/path.h"
 
 /* Photon `sample_in_launch * pixel_count + pixel` starts in a pixel of the sun's view of the

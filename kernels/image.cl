@@ -21,16 +21,7 @@ inline void on_absorption(const Medium *medium, const KEPT Interaction *at, floa
     budget_absorption(tally->budget, at->particle == PARTICLE_SURFACE, weight);
 }
 
-inline void on_roulette(float throughput, float raised, bool survives, Tally *tally)
-{
-    budget_roulette(tally->budget, throughput, raised, survives);
-}
-
-inline void on_termination(Termination termination, float throughput, Tally *tally)
-{
-    budget_termination(tally->budget, termination, throughput, tally->sums);
-}
-
+#include "walk/budgeted.h"
 #include "walk/radiance.h"
 
 /* The radiance of path number `sample_in_launch * pixel_count + pixel`, for a sun of irradiance 1. */

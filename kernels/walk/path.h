@@ -19,8 +19,8 @@
  *   void on_termination(Termination termination, float throughput, tally)
  *       the path ends with the given throughput
  *
- * radiance.h defines the first four for paths from cameras, flux.cl all for photons from the sun; unbudgeted.h
- * has empty ones of the last three. Radiances inside a path are for a sun of irradiance 1; the host scales them.
+ * radiance.h defines the first four for paths from cameras; budgeted.h has the last two for the audit, unbudgeted.h empty
+ * ones of the last three. Radiances inside a path are for a sun of irradiance 1; the host scales them.
  */
 #ifndef CLOUDTOMO_PATH_H
 #define CLOUDTOMO_PATH_H
