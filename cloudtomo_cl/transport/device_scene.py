@@ -95,14 +95,14 @@ class DeviceScene:
         Raises
         ------
         DataError : another shape, a value that is missing, negative, not finite or beyond any cloud's, or above 0
-            outside of the mask or where the droplets' size is missing; a field of another medium, or one that skips
+            outside of the mask or where the droplets' size is missing; a medium of another scene, or one that skips
             zeros where gradients are wanted
         """
         if isinstance(extinction, Medium):
             if extinction._made_by is not self:
-                raise DataError("this field is of another scene, estimator or mask: give the extinction itself")
+                raise DataError("this medium is of another scene, estimator or mask: give the extinction itself")
             if extinction.skips_zeros and not skips_empty:
-                raise DataError("gradients need clear voxels, which this field skips: give the extinction itself")
+                raise DataError("gradients need clear voxels, which this medium skips: give the extinction itself")
             return extinction
         if not self.device.is_array(extinction):
             extinction = unmasked(extinction)

@@ -163,13 +163,13 @@ class FluxOperator:
         """
         photons = checked_photons(photons)
         seed = checked_seed(seed)
-        field = self._device_scene.medium(extinction, skips_empty=True)
+        medium = self._device_scene.medium(extinction, skips_empty=True)
         samples = -(-photons // (_BATCHES * self._pixels))  # per pixel of the sun and batch
         if _BATCHES * samples > MOST_SAMPLES:
             most = MOST_SAMPLES // _BATCHES * _BATCHES * self._pixels
             raise DataError(f"photons is {photons:.6g}: this scene has at most {most:.6g}")
         budget = Budget(self.device)
-        batches = self._traced(field, samples, seed, budget, progress)
+        batches = self._traced(medium, samples, seed, budget, progress)
         launched = _BATCHES * samples * self._pixels
         audit = budget.audit()
         audit.check(launched)

@@ -69,11 +69,11 @@ def speeds(case: Case, device: Device) -> Iterator[tuple[str, float]]:
     """Paths a second by the clock, of renders and of gradients by replay."""
     operator = ct.RadianceOperator(case.scene, (case.view,), device, mask=case.extinction > 0)
     adjoint = np.full((len(operator.pixels), 2), 0.5)
-    field, samples, took = operator.on_device(case.extinction), 64, 0.0
+    medium, samples, took = operator.on_device(case.extinction), 64, 0.0
     while took < _SECONDS and samples < 1 << 20:
         samples *= 2
-        took = clocked(lambda n=samples: operator.render(field, n, n))
-    taken = [clocked(lambda n=seed: operator.render(field, samples, n)) for seed in range(_REPEATS)]
+        took = clocked(lambda n=samples: operator.render(medium, n, n))
+    taken = [clocked(lambda n=seed: operator.render(medium, samples, n)) for seed in range(_REPEATS)]
     yield "render", samples * len(operator.pixels) / float(np.median(taken))
     samples = min(samples, _MOST_STORED)
     rendering = operator.render(case.extinction, samples, 1, store_paths=True)
