@@ -33,6 +33,11 @@ class DeviceScene:
     truncation : the largest local estimate, sr^-1
     mask : bool, or 0 and 1, shape of the grid; where it is False every extinction is to be 0, and walks skip
 
+    Attributes
+    ----------
+    scene, device, mask : as given, the mask as bool
+    features : macros of kernels that walk through the scene
+
     Raises
     ------
     DataError : effective_radius is missing, of another shape, or outside of the phase table; the mask is none of
@@ -64,7 +69,7 @@ class DeviceScene:
         rows, self._radius = table_rows(scene, effective_radius)
         self._table_row = device.constant(rows)
         self._nothing_empty = device.constant(np.zeros(1, np.uint8))
-        self._empty_by_mask = None if self.mask is None or self._has_air else self._clear(self.mask)
+        self._empty_by_mask = None if self.mask is None or self._has_air else self._empty(self.mask)
         self.features = tuple(
             feature
             for feature, wanted in (
@@ -79,7 +84,8 @@ class DeviceScene:
         """The kernels' Scene."""
         return self._structs[False]
 
-    def _clear(self, occupied: np.ndarray) -> Any:
+    def _empty(self, occupied: np.ndarray) -> Any:
+        """How far walks may skip where voxels are not occupied, on the device."""
         blocks = occupied_blocks(occupied, empty_shift(self.scene))
         return self.device.constant(empty_distances(blocks, self.scene.boundary.horizontal == "periodic"))
 
@@ -108,33 +114,29 @@ class DeviceScene:
             extinction = unmasked(extinction)
         if tuple(extinction.shape) != self.scene.grid.shape:
             raise DataError(f"extinction has shape {tuple(extinction.shape)}, the grid {self.scene.grid.shape}")
-        clear, skips_zeros = self._empty_by_mask, False
-        if self.device.is_array(extinction):
-            beta = extinction
-        else:
-            values = np.ascontiguousarray(extinction, np.float32)
-            check_extinction(values)
-            if self._radius is not None:
-                remedy = "a cloudy voxel must know its droplets' size: set its extinction to 0, or give it one"
-                require_present("rendering", "effective_radius", self._radius, remedy, values > 0)
-            check_depth(values, min(self.scene.grid.spacing))
-            if self.mask is not None and values[~self.mask].any():
-                raise DataError("extinction is above 0 outside of the mask: set it to 0 there, or widen the mask")
-            beta = self.device.array(values)
-            if clear is None and skips_empty and not self._has_air:
-                clear, skips_zeros = self._clear(values > 0), True
-        return Medium(
-            self._structs[clear is not None],
-            self._inside_structs[clear is not None],
-            beta,
-            skips_zeros,
-            self,
-            {
-                "table_row": self._table_row,
-                "empty": self._nothing_empty if clear is None else clear,
-                "profiles": self._profiles,
-            },
-        )
+        empty, skips_zeros = self._empty_by_mask, False
+        if not self.device.is_array(extinction):
+            values = self._checked(extinction)
+            extinction = self.device.array(values)
+            if empty is None and skips_empty and not self._has_air:
+                empty, skips_zeros = self._empty(values > 0), True
+        skips = empty is not None
+        buffers = {
+            "table_row": self._table_row, "empty": empty if skips else self._nothing_empty, "profiles": self._profiles,
+        }  # fmt: skip
+        return Medium(self._structs[skips], self._inside_structs[skips], extinction, skips_zeros, self, buffers)
+
+    def _checked(self, extinction: np.ndarray) -> np.ndarray:
+        """An extinction as kernels take it; see `medium`."""
+        values = np.ascontiguousarray(extinction, np.float32)
+        check_extinction(values)
+        if self._radius is not None:
+            remedy = "a cloudy voxel must know its droplets' size: set its extinction to 0, or give it one"
+            require_present("rendering", "effective_radius", self._radius, remedy, values > 0)
+        check_depth(values, min(self.scene.grid.spacing))
+        if self.mask is not None and values[~self.mask].any():
+            raise DataError("extinction is above 0 outside of the mask: set it to 0 there, or widen the mask")
+        return values
 
 
 def profiles(scene: Scene) -> np.ndarray:
