@@ -26,10 +26,10 @@ from cloudtomo_cl.files.measurements import read_measurements
 from cloudtomo_cl.files.netcdf import is_netcdf
 from cloudtomo_cl.files.stored_settings import read_settings
 from cloudtomo_cl.files.truth import read_truth
+from cloudtomo_cl.inversion.bound_priors import unlike_prior
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint
 from cloudtomo_cl.inversion.checks import check, check_memory
-from cloudtomo_cl.inversion.priors import unlike_prior
 from cloudtomo_cl.inversion.reconstruct import reconstruct
 from cloudtomo_cl.inversion.records import COLUMNS, IterationRecord, Reconstruction
 from cloudtomo_cl.inversion.run import records

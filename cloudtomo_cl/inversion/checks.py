@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.errors import DataError, DeviceError
+from cloudtomo_cl.inversion.bound_priors import unlike_prior
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, identity_of
 from cloudtomo_cl.inversion.footprint import deep_growth, stage_footprint
-from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser, unlike_prior
+from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser
 from cloudtomo_cl.inversion.run import DIVERGED_DEPTH
 from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.inversion.solvers.protocol import Solver

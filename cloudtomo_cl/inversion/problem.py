@@ -10,11 +10,12 @@ import numpy as np
 
 from cloudtomo_cl.blas import with_one_blas_thread
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.inversion.bound_priors import stage_prior
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.noise_units import NoiseUnits
 from cloudtomo_cl.inversion.objective import AveragedImage
 from cloudtomo_cl.inversion.pixels import ActivePixels, active_pixels
-from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser, stage_prior
+from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser
 from cloudtomo_cl.inversion.stage_prior import StagePrior
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.opencl.device import Device

@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from cloudtomo_cl.inversion.bound_priors import unlike_prior
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, identity_of, read_checkpoint
 from cloudtomo_cl.inversion.checks import by_default, check, check_memory
-from cloudtomo_cl.inversion.priors import AnyPrior, Regulariser, unlike_prior
+from cloudtomo_cl.inversion.priors import AnyPrior, Regulariser
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.records import History, IterationRecord, Reconstruction
 from cloudtomo_cl.inversion.run import (

@@ -12,7 +12,8 @@ import pyopencl.array
 import pytest
 from scipy import stats
 
-from cloudtomo_cl.inversion.priors import Prior, PriorOperator
+from cloudtomo_cl.inversion.priors import Prior
+from cloudtomo_cl.inversion.smoothness import PriorOperator
 from cloudtomo_cl.scene.grid import Grid, resample
 from cloudtomo_cl.scene.phase import HenyeyGreenstein
 from cloudtomo_cl.scene.scene import Cloud, Scene, Sun, Surface

@@ -15,7 +15,7 @@ from ranks_scene import GRID, RING, SCENE, everything, extinction, of_recovery, 
 
 import cloudtomo_cl as ct
 from cloudtomo_cl.commands import cli
-from cloudtomo_cl.inversion.priors import stage_prior
+from cloudtomo_cl.inversion.bound_priors import stage_prior
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.opencl.several import on_devices
 
