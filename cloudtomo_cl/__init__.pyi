@@ -39,7 +39,7 @@ from .inversion.solvers.gauss_newton import GaussNewton
 from .inversion.solvers.protocol import Progress, Solver
 from .inversion.stages import Stage, automatic_stages
 from .inversion.voxels import Voxels
-from .opencl.device import choose_device, list_devices
+from .opencl.devices import choose_device, list_devices
 from .opencl.several import on_devices
 from .report.volume import plot_volume
 from .scene.droplets import DropletTable, extinction_at, extinction_from_water

@@ -36,10 +36,8 @@ __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
     tally.table = make_table(TABLE_ARGUMENTS);
     tally.gradient = gradient;
     tally.change = change;
-    for (bool walks = false;;) {
+    for (bool walks = false; walks || next_turn(&turn);) {
         if (!walks) {
-            if (!next_turn(&turn))
-                break;
             path = path_of_item(turn.item, pixel_count, path_count);
             const uint sample = first_sample + path / pixel_count, pixel_in_list = path % pixel_count;
             const uint2 pixel = pixels[pixel_in_list];
@@ -52,9 +50,7 @@ __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
             keep_key(key, &own);
             start_path(at, camera_ray(scene, views + pixel.x, rays, &own));
         }
-        do
-            walks = walk_event(&medium, at, key, &tally);
-        while (walks && !REGENERATES);
+        walks = walk_turn(&medium, at, key, &tally);
         if (!walks) {
             check_replay(tally.radiance, tally.total, astray);
             path_tangent[path] = tally.tangent;

@@ -49,16 +49,7 @@ inline void on_interaction(const Medium *medium, const Segment *segment, const F
 
 inline void on_scattering(const Medium *medium, const KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally) {}
 
-inline void on_roulette(float throughput, float raised, bool survives, Tally *tally)
-{
-    budget_roulette(tally->budget, throughput, raised, survives);
-}
-
-inline void on_termination(Termination termination, float throughput, Tally *tally)
-{
-    budget_termination(tally->budget, termination, throughput, tally->sums);
-}
-
+#include "walk/budgeted.h"
 #include "walk/path.h"
 
 /* Photon `sample_in_launch * pixel_count + pixel` starts in a pixel of the sun's view of the
@@ -73,19 +64,15 @@ __kernel void trace_photons(TRACE_PHOTONS_PARAMETERS)
     tally.budget = own_budget;
     tally.sums = group_budget;
     tally.columns = columns;
-    for (bool walks = false;;) {
+    for (bool walks = false; walks || next_turn(&turn);) {
         if (!walks) {
-            if (!next_turn(&turn))
-                break;
             const uint sample = first_sample + turn.item / pixel_count;
             const SampleKey own = sample_key(seed, 0u, (uint2)(SUN_VIEW, turn.item % pixel_count), sample);
             clear_budget(own_budget);
             keep_key(key, &own);
             start_path(at, camera_ray(scene, sun_view, 0, &own));
         }
-        do
-            walks = walk_event(&medium, at, key, &tally);
-        while (walks && !REGENERATES);
+        walks = walk_turn(&medium, at, key, &tally);
     }
     close_group_budget(group_budget, budget);
 }

@@ -21,16 +21,7 @@ inline void on_absorption(const Medium *medium, const KEPT Interaction *at, floa
     budget_absorption(tally->budget, at->particle == PARTICLE_SURFACE, weight);
 }
 
-inline void on_roulette(float throughput, float raised, bool survives, Tally *tally)
-{
-    budget_roulette(tally->budget, throughput, raised, survives);
-}
-
-inline void on_termination(Termination termination, float throughput, Tally *tally)
-{
-    budget_termination(tally->budget, termination, throughput, tally->sums);
-}
-
+#include "walk/budgeted.h"
 #include "walk/radiance.h"
 
 /* The radiance of path number `sample_in_launch * pixel_count + pixel`, for a sun of irradiance 1. */
@@ -44,10 +35,8 @@ __kernel void render_paths(RENDER_PATHS_PARAMETERS)
     Tally tally;
     tally.budget = own_budget;
     tally.sums = group_budget;
-    for (bool walks = false;;) {
+    for (bool walks = false; walks || next_turn(&turn);) {
         if (!walks) {
-            if (!next_turn(&turn))
-                break;
             path = path_of_item(turn.item, pixel_count, path_count);
             const uint2 pixel = pixels[path % pixel_count];
             const SampleKey own = sample_key(seed, stream, pixel, first_sample + path / pixel_count);
@@ -57,9 +46,7 @@ __kernel void render_paths(RENDER_PATHS_PARAMETERS)
             keep_key(key, &own);
             start_path(at, camera_ray(scene, views + pixel.x, rays, &own));
         }
-        do
-            walks = walk_event(&medium, at, key, &tally);
-        while (walks && !REGENERATES);
+        walks = walk_turn(&medium, at, key, &tally);
         if (!walks)
             path_radiance[path] = tally.radiance;
     }

@@ -68,10 +68,8 @@ __kernel void jacobian_paths(JACOBIAN_PATHS_PARAMETERS)
     tally.place = place;
     tally.block = block;
     tally.weight = 1.0f;
-    for (bool walks = false;;) {
+    for (bool walks = false; walks || next_turn(&turn);) {
         if (!walks) {
-            if (!next_turn(&turn))
-                break;
             /* Neighbours in a work group replay paths of the same pixel, which go through the same voxels. */
             const uint pixel_in_list = first_pixel + turn.item / samples, n = turn.item % samples;
             const uint2 pixel = pixels[pixel_in_list];
@@ -85,9 +83,7 @@ __kernel void jacobian_paths(JACOBIAN_PATHS_PARAMETERS)
             keep_key(key, &own);
             start_path(at, camera_ray(scene, views + pixel.x, rays, &own));
         }
-        do
-            walks = walk_event(&medium, at, key, &tally);
-        while (walks && !REGENERATES);
+        walks = walk_turn(&medium, at, key, &tally);
         if (!walks)
             check_replay(tally.radiance, tally.total, astray);
     }

@@ -3,7 +3,7 @@
 #include "near_field.h"
 
 /* The number of voxels of the mask in every pixel's tile. */
-__kernel void near_count(NEAR_COUNT_PARAMETERS)
+__kernel void count_near(COUNT_NEAR_PARAMETERS)
 {
     const size_t row = get_global_id(0);
     if (row >= pixel_count)
@@ -18,7 +18,7 @@ __kernel void near_count(NEAR_COUNT_PARAMETERS)
 }
 
 /* The columns of these voxels, in the order of their slots. */
-__kernel void near_fill(NEAR_FILL_PARAMETERS)
+__kernel void list_near(LIST_NEAR_PARAMETERS)
 {
     const size_t row = get_global_id(0);
     if (row >= pixel_count)

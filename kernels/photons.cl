@@ -82,10 +82,8 @@ __kernel void fill_table(FILL_TABLE_PARAMETERS)
     KEPT_FOR_ITEM(SampleKey, key);
     KEPT_FOR_ITEM(Interaction, at);
     Tally tally = {column, cells, table_sums, unit, enters_box != 0};
-    for (bool walks = false;;) {
+    for (bool walks = false; walks || next_turn(&turn);) {
         if (!walks) {
-            if (!next_turn(&turn))
-                break;
             const float weight = weighted ? weights[turn.item] : 1.0f;
             if (weight == 0.0f)
                 continue;
@@ -104,9 +102,7 @@ __kernel void fill_table(FILL_TABLE_PARAMETERS)
             start_path(at, ray);
             at->throughput = weight;
         }
-        do
-            walks = walk_event(&medium, at, key, &tally);
-        while (walks && !REGENERATES);
+        walks = walk_turn(&medium, at, key, &tally);
     }
 }
 

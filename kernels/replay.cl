@@ -180,10 +180,8 @@ __kernel void replay_paths(REPLAY_PATHS_PARAMETERS)
     tally.list = virtual_collisions;
     tally.listed = virtual_collision_count;
     tally.gradient = gradient;
-    for (bool walks = false;;) {
+    for (bool walks = false; walks || next_turn(&turn);) {
         if (!walks) {
-            if (!next_turn(&turn))
-                break;
             const uint path = path_of_item(turn.item, pixel_count, path_count);
             const uint sample = first_sample + path / pixel_count, pixel_in_list = path % pixel_count;
             tally.adjoint = adjoint_of(adjoint, pixel_in_list, sample);
@@ -195,9 +193,7 @@ __kernel void replay_paths(REPLAY_PATHS_PARAMETERS)
             start_path(at, camera_ray(scene, views + pixel.x, rays, &own));
             begin_tally(&tally, path, path_radiance[path], own);
         }
-        do
-            walks = walk_event(&medium, at, key, &tally);
-        while (walks && !REGENERATES);
+        walks = walk_turn(&medium, at, key, &tally);
         if (!walks)
             end_tally(&tally, astray);
     }

@@ -84,21 +84,21 @@ def of_radiances(
         yield f"render: {name}", value
     random = np.random.default_rng(1)
     adjoint = random.normal(size=(len(operator.pixels), 2))
-    yield "replay gradient", digest(operator.gradient(rendering, adjoint, filling_limit=0.0))
+    yield "replay gradient", digest(operator.gradient(rendering, adjoint, 0.0))
     for name, value in of_rendering(operator.render(extinction, SAMPLES, SEED, STREAM)):
         yield f"render, skips: {name}", value
     cut = ct.RadianceOperator(scene, views, device, estimator=estimator, truncation=TRUNCATION, **options)
     rendering = cut.render(extinction, SAMPLES, SEED, STREAM, True)
     for name, value in of_rendering(rendering):
         yield f"truncated: {name}", value
-    yield "truncated: replay gradient", digest(cut.gradient(rendering, adjoint, filling_limit=0.0))
+    yield "truncated: replay gradient", digest(cut.gradient(rendering, adjoint, 0.0))
     mask = extinction > 0
     mask[0] = True
     masked = ct.RadianceOperator(scene, views, device, estimator=estimator, mask=mask, **options)
     rendering = masked.render(extinction, SAMPLES, SEED, STREAM, True)
     for name, value in of_rendering(rendering):
         yield f"masked: {name}", value
-    yield "masked: replay gradient", digest(masked.gradient(rendering, adjoint, filling_limit=0.0))
+    yield "masked: replay gradient", digest(masked.gradient(rendering, adjoint, 0.0))
     yield from of_table(masked, rendering, adjoint, mask)
 
 

@@ -233,7 +233,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--by", choices=("replay", "table"), default="replay", help="whose gradient is checked")
     parser.add_argument("--against", choices=("differences", "replay"), default="differences")
-    parser.add_argument("--limit", type=float, help="filling_limit of gradients by replay, km^-1")
+    parser.add_argument("--limit", type=float, help="virtual_limit of gradients by replay, km^-1")
     given = parser.parse_args()
     good = [check(name, given) for name in given.scenes]
     sys.exit(0 if all(good) else 1)

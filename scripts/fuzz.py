@@ -150,7 +150,7 @@ class Bench:
 
     def __init__(self, folder: Path) -> None:
         from cloudtomo_cl.commands import cli, fluxes, modelled, reconstruction, rendering
-        from cloudtomo_cl.opencl.device import choose_device
+        from cloudtomo_cl.opencl.devices import choose_device
         from cloudtomo_cl.report import plots
 
         self.folder = folder

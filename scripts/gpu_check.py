@@ -31,7 +31,7 @@ from gpu.rows import Row
 # Prints the index of the device that is chosen and that of a CPU beside it, -1 if there is none, or it is that one.
 _CHOICE = """
 import cloudtomo_cl as ct
-from cloudtomo_cl.opencl.device import choose_device
+from cloudtomo_cl.opencl.devices import choose_device
 devices, chosen = ct.list_devices(), choose_device({name!r})
 own = next(one.index for one in devices if one.name == chosen.name)
 cpus = [one.index for one in devices if "CPU" in one.kind and one.index != own]

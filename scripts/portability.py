@@ -110,7 +110,7 @@ def _environment(icd: str) -> dict[str, str]:
 def list_worker() -> None:
     import pyopencl
 
-    from cloudtomo_cl.opencl.device import list_devices
+    from cloudtomo_cl.opencl.devices import list_devices
 
     versions = {platform.name.strip(): platform.version.strip() for platform in pyopencl.get_platforms()}
     print(json.dumps([[d.index, d.platform, d.name, versions[d.platform], d.accumulation] for d in list_devices()]))
@@ -167,7 +167,7 @@ def test_worker(tests: list[str], done: list[str]) -> None:
 def compare_worker(samples: int, file: str) -> None:
     """Radiances of paths, an image, and both gradients of two small scenes, into a file."""
     import cloudtomo_cl as ct
-    from cloudtomo_cl.opencl.device import choose_device
+    from cloudtomo_cl.opencl.devices import choose_device
     from cloudtomo_cl.transport.table_gradient import TableGradient
 
     mind_the_simulator()

@@ -34,17 +34,19 @@ MARGIN = 2
 
 def timed_methods(ranks: Any) -> dict[str, list[tuple[Any, str]]]:
     """What is timed, by kind; what is told other ranks is part of the other kinds, too."""
-    from cloudtomo_cl.inversion.patch_operator import PatchOperator, PatchQuadratic
+    from cloudtomo_cl.inversion.patch_components import ComponentChoice
+    from cloudtomo_cl.inversion.patch_quadratic import PatchQuadratic
+    from cloudtomo_cl.inversion.stencil import StencilTiles
     from cloudtomo_cl.transport.jacobian import Jacobian
     from cloudtomo_cl.transport.jacobian_average import JacobianAverage
-    from cloudtomo_cl.transport.radiance import RadianceOperator
+    from cloudtomo_cl.transport.path_sums import PathSums
     from cloudtomo_cl.transport.table_builder import RadianceTableBuilder
 
     return {
-        "paths": [(RadianceOperator, "_walk"), (JacobianAverage, "_add_rows")],
+        "paths": [(PathSums, "of"), (JacobianAverage, "_add_rows")],
         "products": [(Jacobian, "times"), (Jacobian, "transposed"), (Jacobian, "curvature")],
         "prior": [
-            (PatchOperator, "chosen_components"), (PatchQuadratic, "_assemble"), (PatchQuadratic, "add_product"),
+            (ComponentChoice, "at"), (StencilTiles, "assembled"), (PatchQuadratic, "add_product"),
         ],
         "table": [(RadianceTableBuilder, "at")],
         "told": [(type(ranks), name) for name in ("joined", "exchange", "_added", "all", "any") if ranks.size > 1],
@@ -53,7 +55,8 @@ def timed_methods(ranks: Any) -> dict[str, list[tuple[Any, str]]]:
 
 def _awaited(result: Any, owner: Any) -> Any:
     """A result, once the kernels have run that products only start."""
-    part = getattr(owner, "_structure", getattr(owner, "_operator", owner))
+    names = ("_structure", "_operator", "_kernels", "_pace")
+    part = next((getattr(owner, name) for name in names if hasattr(owner, name)), owner)
     if hasattr(part, "device"):
         part.device.queue.finish()
     return result

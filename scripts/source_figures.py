@@ -75,15 +75,15 @@ def read_runs(output: Path) -> list[Run]:
     for prior in PRIORS:
         for folder in sorted(output.glob(f"{prior}seed-*")):
             run = RunFolder(folder)
-            if not run.reconstruction_file.is_file():
+            if not run.files.reconstruction.is_file():
                 continue
             grid, extinction, mask = run.read_reconstruction()
             tables = run.read_settings()["settings"]
             given = tables.get("stage")
             stages = tuple(Stage(**table) for table in given) if given else automatic_stages(grid)
-            measurements = read_measurements(run.reconstruction_file)
+            measurements = read_measurements(run.files.reconstruction)
             seed = int(folder.name.rpartition("-")[2])
-            runs.append(Run(folder, prior, seed, grid, extinction, mask, run.read_history(), stages, measurements))
+            runs.append(Run(folder, prior, seed, grid, extinction, mask, run.history.read(), stages, measurements))
     return runs
 
 

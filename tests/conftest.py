@@ -8,7 +8,7 @@ import pytest
 
 from cloudtomo_cl.commands import modelled, reporting
 from cloudtomo_cl.files.whole import written_whole
-from cloudtomo_cl.opencl.device import choose_device
+from cloudtomo_cl.opencl.devices import choose_device
 from cloudtomo_cl.report import plots
 
 

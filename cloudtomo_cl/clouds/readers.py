@@ -114,8 +114,8 @@ def _read_columns(path: Path, options: ReadingOptions) -> CloudVolume:
     base, count = 0.2, max(1, int(np.ceil(thickness.max() / dz - UNIFORM)))
     edges = dz * np.arange(count + 1)
     share = np.clip((thickness[..., None] - edges[:-1]) / dz, 0.0, 1.0)
-    filled = share.sum(axis=-1, keepdims=True) * dz
-    extinction = np.divide(depth[..., None] * share, filled, out=np.zeros(share.shape), where=filled > 0)
+    reached = share.sum(axis=-1, keepdims=True) * dz
+    extinction = np.divide(depth[..., None] * share, reached, out=np.zeros(share.shape), where=reached > 0)
     if (depth[thickness <= 0] > 0).any():
         raise DataError(f"{path}: a column has an optical depth but no thickness in {beside.name}")
     sides = box_edges(depth.shape, (dx, dy))

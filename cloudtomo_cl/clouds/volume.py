@@ -10,7 +10,7 @@ import numpy as np
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.extinction import check_extinction, check_radius
 from cloudtomo_cl.files.missing import require_present
-from cloudtomo_cl.scene.arrays import filled
+from cloudtomo_cl.scene.arrays import unmasked
 from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.grid import Grid, resample
 
@@ -46,7 +46,7 @@ class CloudVolume:
         for name in ("extinction", "effective_radius"):
             if getattr(self, name) is None:
                 continue
-            values = filled(getattr(self, name))
+            values = unmasked(getattr(self, name))
             object.__setattr__(self, name, values)
             if values.shape != self.grid.shape:
                 raise DataError(f"{name} has shape {values.shape}, the grid {self.grid.shape}")

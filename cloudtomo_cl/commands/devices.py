@@ -30,7 +30,7 @@ def run() -> None:
     from rich.table import Table
 
     from cloudtomo_cl.commands import ranks
-    from cloudtomo_cl.opencl.device import chosen_index, list_devices
+    from cloudtomo_cl.opencl.devices import chosen_index, list_devices
 
     console = Console(markup=False, emoji=False)
     if not console.is_terminal:

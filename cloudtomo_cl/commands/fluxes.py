@@ -17,7 +17,7 @@ from cloudtomo_cl.commands.provenance import describe_device, source, versions
 from cloudtomo_cl.errors import SettingsError
 from cloudtomo_cl.files.extinction import extinction_dataset
 from cloudtomo_cl.files.netcdf import ENDINGS, check_output, is_netcdf, save_dataset
-from cloudtomo_cl.opencl.device import choose_device
+from cloudtomo_cl.opencl.devices import choose_device
 from cloudtomo_cl.scene.scene import Boundary, Scene
 from cloudtomo_cl.settings.scenes import read_scene_file
 from cloudtomo_cl.settings.stored import kept_scene, stored_scene

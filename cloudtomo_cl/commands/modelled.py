@@ -48,14 +48,14 @@ def write_modelled(
     }
     settings = {
         "scene": stored_scene(scene),
-        "cloud_file": folder.reconstruction_file.name,
+        "cloud_file": folder.files.reconstruction.name,
         "samples": samples,
         "seed": seed,
         "stream": stream,
     }
 
     def write() -> None:
-        folder.claim(folder.modelled_file)
-        write_measurements(folder.modelled_file, modelled, attributes, settings, (scene.grid, extinction, None))
+        folder.claim(folder.files.modelled)
+        write_measurements(folder.files.modelled, modelled, attributes, settings, (scene.grid, extinction, None))
 
     ranks.first_alone(write)

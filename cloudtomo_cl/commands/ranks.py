@@ -49,7 +49,7 @@ def on_devices(work: Callable[..., _Result], options: dict[str, Any]) -> _Result
 
     Under MPI ranks take one each of those that are named.
     """
-    from cloudtomo_cl.opencl.device import named_devices
+    from cloudtomo_cl.opencl.devices import named_devices
     from cloudtomo_cl.parallel.threads import shared_by_threads
 
     names = named_devices(options["device"])

@@ -26,15 +26,17 @@ from cloudtomo_cl.files.measurements import read_measurements
 from cloudtomo_cl.files.netcdf import is_netcdf
 from cloudtomo_cl.files.stored_settings import read_settings
 from cloudtomo_cl.files.truth import read_truth
+from cloudtomo_cl.inversion.bound_priors import unlike_prior
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint
+from cloudtomo_cl.inversion.checks import check, check_memory
 from cloudtomo_cl.inversion.outliers import outlier_text
-from cloudtomo_cl.inversion.priors import unlike_prior
-from cloudtomo_cl.inversion.reconstruct import check, check_memory, reconstruct
+from cloudtomo_cl.inversion.reconstruct import reconstruct
 from cloudtomo_cl.inversion.records import COLUMNS, IterationRecord, Reconstruction
 from cloudtomo_cl.inversion.run import records
 from cloudtomo_cl.inversion.stages import stages_of
-from cloudtomo_cl.opencl.device import Device, choose_device
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.devices import choose_device
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.metrics import delta, epsilon
 from cloudtomo_cl.scene.scene import Scene
@@ -224,7 +226,7 @@ def execute(job: Job) -> Outcome:
                 time_limit=job.settings.run.time_limit,
                 truth=job.truth,
                 callback=record,
-                checkpoint=job.folder.checkpoint_file,
+                checkpoint=job.folder.files.checkpoint,
                 checkpoint_interval=job.settings.run.checkpoint_interval,
                 resume=job.resumed,
                 stop=stop,
@@ -232,7 +234,7 @@ def execute(job: Job) -> Outcome:
             )
     except (DeviceError, DataError) as error:
         # Of the device, or of the disk: both may be in order tomorrow.
-        kept = job.folder.checkpoint_file
+        kept = job.folder.files.checkpoint
         if kept.is_file() and (job.folder.started or isinstance(error, DeviceError)):
             again = type(error)(f"{error}\nwhat was reached is kept in {kept}: {job.request.resume_command}")
             vars(again).update(vars(error))
@@ -335,7 +337,7 @@ def _show_result(job: Job, outcome: Outcome) -> None:
     write_modelled(job.folder, job.scene, measurements, result.extinction, job.device, job.seed, stream)
     if job.request.with_report:
         ranks.check_together()
-        job.say(f"drawing figures and {job.folder.report_file} ...")
+        job.say(f"drawing figures and {job.folder.files.report} ...")
         ranks.first_alone(lambda: make_report(job.folder, quiet=True))
     job.say(f"{_summary(result, job.truth)}  {output}")
 

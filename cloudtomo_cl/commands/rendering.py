@@ -17,7 +17,7 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.measurements import read_measurements, write_measurements
 from cloudtomo_cl.files.netcdf import ENDINGS, check_output, is_netcdf
 from cloudtomo_cl.files.wavelengths import read_wavelengths
-from cloudtomo_cl.opencl.device import choose_device
+from cloudtomo_cl.opencl.devices import choose_device
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.noise import Noise
 from cloudtomo_cl.scene.scene import Scene

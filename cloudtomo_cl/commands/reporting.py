@@ -24,7 +24,7 @@ from cloudtomo_cl.files.vti import write_vti
 from cloudtomo_cl.files.whole import written_whole
 from cloudtomo_cl.inversion.records import MASK, STANDARD_ERROR, VARIABLES
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
-from cloudtomo_cl.opencl.device import choose_device
+from cloudtomo_cl.opencl.devices import choose_device
 from cloudtomo_cl.report import plots
 from cloudtomo_cl.report.page import report_page
 from cloudtomo_cl.scene.grid import Grid
@@ -85,11 +85,11 @@ def make_report(run: RunFolder, quiet: bool) -> None:
     figures = plots.run_figures(
         shown.grid, shown.extinction, shown.history, shown.truth, shown.measurements, shown.modelled, shown.sun
     )
-    run.claim(run.report_file, *(run.figures / f"{name}.{kind}" for name in figures for kind in ("png", "pdf")))
+    run.claim(run.files.report, *run.files.pictures(figures))
     paths: list[Path] = []
     for name, figure in figures.items():
         stopping.check()
-        paths += plots.save_figures(run.figures, {name: figure})
+        paths += plots.save_figures(run.files.figures, {name: figure})
     page = report_page(
         f"Reconstruction {run.path.resolve().name}",
         f"{shown.result.attrs.get('source', source())}, {shown.result.attrs.get('state', 'complete')}",
@@ -104,11 +104,11 @@ def make_report(run: RunFolder, quiet: bool) -> None:
         shown.notes,
         shown.sun,
     )
-    with written_whole(run.report_file) as partial:
+    with written_whole(run.files.report) as partial:
         partial.write_text(page, encoding="utf-8")
     if not quiet:
-        print(f"{run.figures}: {', '.join(figures)}, each as .png and .pdf")
-        print(f"{run.report_file}: open it in a browser")
+        print(f"{run.files.figures}: {', '.join(figures)}, each as .png and .pdf")
+        print(f"{run.files.report}: open it in a browser")
 
 
 def export_vti(run: RunFolder, path: Path, quiet: bool) -> None:
@@ -134,12 +134,12 @@ def export_vti(run: RunFolder, path: Path, quiet: bool) -> None:
 def _read(run: RunFolder) -> _Shown:
     """All that there is, without what does not belong to the result."""
     grid, extinction, _ = run.read_reconstruction()
-    settings, history = run.read_settings(), run.read_history()
+    settings, history = run.read_settings(), run.history.read()
     missing = {"stage", "seconds", "paths", "cost", "cost_standard_error", "epsilon"} - set(history)
     if missing or not len(history["stage"]):
         lacks = f"has no column {', '.join(sorted(missing))}" if missing else "has no iteration"
-        raise DataError(f"{run.history_file}: {lacks}: it is no history of a run")
-    shown = _Shown(grid, extinction, load_dataset(run.reconstruction_file), settings, history)
+        raise DataError(f"{run.files.history}: {lacks}: it is no history of a run")
+    shown = _Shown(grid, extinction, load_dataset(run.files.reconstruction), settings, history)
     files = settings.get("files", {})
     shown.measurements = _measured(run, shown, files)
     if "truth" in files:
@@ -152,7 +152,7 @@ def _read(run: RunFolder) -> _Shown:
 def _measured(run: RunFolder, shown: _Shown, files: dict[str, str]) -> Measurements | None:
     """The images that the cloud was recovered from: the result keeps them."""
     if "radiance" in shown.result:
-        return read_measurements(run.reconstruction_file)
+        return read_measurements(run.files.reconstruction)
     if "measurements" in files:
         measurements: Measurements | None = _if_there(run.path / files["measurements"], read_measurements)
         return measurements
@@ -172,20 +172,20 @@ def _leave_out_what_is_of_another(run: RunFolder, shown: _Shown) -> None:
         text = f"{run.path / shown.settings['files']['truth']} is not the truth that the run knew: it is left out"
         shown.notes.append(text)
         shown.truth = None
-    if run.modelled_file.is_file() and shown.measurements is not None:
+    if run.files.modelled.is_file() and shown.measurements is not None:
         if is_of(run, shown.extinction, shown.measurements):
-            shown.modelled = read_measurements(run.modelled_file)
+            shown.modelled = read_measurements(run.files.modelled)
         else:
             shown.notes.append(
-                f"{run.modelled_file.name} has images of another cloud than the result: they are left out; "
+                f"{run.files.modelled.name} has images of another cloud than the result: they are left out; "
                 f"`cloudtomo report {run.path}` makes them again"
             )
 
 
 def is_of(run: RunFolder, extinction: np.ndarray, measurements: Measurements) -> bool:
     """Whether modelled.nc has images of this cloud, from these views: it keeps both."""
-    _, rendered = read_extinction(run.modelled_file)
-    return np.array_equal(rendered, extinction) and read_measurements(run.modelled_file).views == measurements.views
+    _, rendered = read_extinction(run.files.modelled)
+    return np.array_equal(rendered, extinction) and read_measurements(run.files.modelled).views == measurements.views
 
 
 def renew_modelled(run: RunFolder, device: str | None, quiet: bool) -> None:
@@ -196,17 +196,17 @@ def renew_modelled(run: RunFolder, device: str | None, quiet: bool) -> None:
     DataError : the result is damaged, or the file cannot be written
     """
     grid, extinction, _ = run.read_reconstruction()
-    result = load_dataset(run.reconstruction_file)
+    result = load_dataset(run.files.reconstruction)
     if "radiance" not in result:
         return
-    measurements = read_measurements(run.reconstruction_file)
-    if run.modelled_file.is_file() and is_of(run, extinction, measurements):
+    measurements = read_measurements(run.files.reconstruction)
+    if run.files.modelled.is_file() and is_of(run, extinction, measurements):
         return
     try:
-        scene, _, _, made = kept_scene(run.reconstruction_file, ())
+        scene, _, _, made = kept_scene(run.files.reconstruction, ())
         if not quiet:
             print("rendering the images of the recovered cloud ...")
-        stream = int(result.attrs.get("iterations", len(run.read_history()["stage"]))) + 1
+        stream = int(result.attrs.get("iterations", len(run.history.read()["stage"]))) + 1
         write_modelled(run, scene, measurements, extinction, choose_device(device), made.get("seed", 0), stream)
     except (DeviceError, SettingsError) as error:
         print(f"cloudtomo report: the images of the recovered cloud could not be rendered: {error}", file=sys.stderr)

@@ -1,21 +1,8 @@
-"""The folder of a reconstruction: settings, history, result, figures.
-
-files.json           names of the files here that runs have written: no others are ever removed or replaced
-settings.json        all settings, versions of the packages, device, seed
-history.csv          one line for each iteration, written as it goes
-checkpoint.npz       what a resumed run goes on from
-reconstruction.nc    extinction(z, y, x) in km^-1, its standard error and the mask, and what repeats the run:
-                     images, views, settings
-modelled.nc          images of the recovered cloud
-report.html
-figures/*.png, *.pdf
-.lock                while a run is at work here (folder_lock.py)
-"""
+"""The folder of a reconstruction: settings, history, result, figures (run_files.py)."""
 
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import fields
@@ -26,6 +13,7 @@ import numpy as np
 
 from cloudtomo_cl.commands.folder_lock import held
 from cloudtomo_cl.commands.history_file import HistoryFile
+from cloudtomo_cl.commands.run_files import RunFiles
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.extinction import WRITTEN_AXES, read_extinction, write_extinction
 from cloudtomo_cl.files.measurements import write_measurements
@@ -33,7 +21,6 @@ from cloudtomo_cl.files.netcdf import AXES, netcdf_errors
 from cloudtomo_cl.files.whole import reason, remove_abandoned, written_whole
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, read_checkpoint
 from cloudtomo_cl.inversion.records import MASK, STANDARD_ERROR, VARIABLES
-from cloudtomo_cl.report.plots import FIGURES
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.measurements import Measurements
 
@@ -49,34 +36,28 @@ class RunFolder:
 
     Parameters
     ----------
+    path : of the folder
     overwrite : whether a new run takes the place of an older one, and of other files with the names it needs
+
+    Attributes
+    ----------
+    files : where they are, and which of them runs have written
+    history : a line for each iteration
+    started : whether this run has written anything
     """
 
     def __init__(self, path: str | Path, overwrite: bool = False) -> None:
-        self.path = Path(path)
         self.overwrite = overwrite
-        self.list_file = self.path / "files.json"
-        self.settings_file = self.path / "settings.json"
-        self.history_file = self.path / "history.csv"
-        self.checkpoint_file = self.path / "checkpoint.npz"
-        self.reconstruction_file = self.path / "reconstruction.nc"
-        self.modelled_file = self.path / "modelled.nc"
-        self.report_file = self.path / "report.html"
-        self.figures = self.path / "figures"
-        self._history = HistoryFile(self.history_file)
+        self.files = RunFiles(Path(path))
+        self.history = HistoryFile(self.files.history)
         self._settings: Mapping[str, Any] = {}
         self._before: Sequence[IterationRecord] | None = None
         self.started = False
 
     @property
-    def outputs(self) -> tuple[Path, ...]:
-        """All files that a run may write."""
-        pictures = [self.figures / f"{name}.{suffix}" for name in FIGURES for suffix in ("png", "pdf")]
-        return (*self._of_the_run, self.modelled_file, self.report_file, *pictures)
-
-    @property
-    def _of_the_run(self) -> tuple[Path, ...]:
-        return self.settings_file, self.history_file, self.checkpoint_file, self.reconstruction_file
+    def path(self) -> Path:
+        """Of the folder."""
+        return self.files.folder
 
     def held(self) -> AbstractContextManager[None]:
         """Keeps other runs out of the folder while in this context; see `folder_lock.held`."""
@@ -88,56 +69,31 @@ class RunFolder:
         self._check_folder()
         if self.overwrite:
             return
-        if any(file.exists() for file in self._of_the_run):
-            hint = ", or go on with it: --resume" if self.checkpoint_file.exists() else ""
+        if any(file.exists() for file in self.files.of_recovery):
+            hint = ", or go on with it: --resume" if self.files.checkpoint.exists() else ""
             raise DataError(f"{self.path}: holds a run already: choose another folder, or add --overwrite{hint}")
-        self._refuse([file for file in self.outputs if os.path.lexists(file)])
+        self.files.require_absent(self.files.outputs)
 
     def check_finished(self) -> None:
         """DataError if there is no result of a run here."""
-        if not self.reconstruction_file.is_file():
-            raise DataError(f"{self.path}: holds no {self.reconstruction_file.name}: no run was finished here")
+        if not self.files.reconstruction.is_file():
+            raise DataError(f"{self.path}: holds no {self.files.reconstruction.name}: no run was finished here")
 
     def check_own(self) -> None:
         """DataError if a file stands in a run's place that no run has written."""
         self._check_folder()
-        self._refuse(self._foreign(self.outputs))
-
-    def _refuse(self, foreign: Sequence[Path]) -> None:
-        if foreign:
-            raise DataError(f"{foreign[0]}: no run has written it, and it is not replaced: move it away")
-
-    def _foreign(self, paths: Sequence[Path]) -> list[Path]:
-        """Those that are there, and not ours."""
-        listed = self._listed()
-        return [path for path in paths if os.path.lexists(path) and path not in listed]
-
-    def _listed(self) -> set[Path]:
-        """What runs have written here. Earlier versions kept no list: what has our names beside a run is theirs."""
-        if not self.list_file.exists():
-            return set(self.outputs) if self.settings_file.exists() else set()
-        try:
-            names = json.loads(self.list_file.read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError) as error:
-            raise DataError(f"{self.list_file}: is no list of a run's files ({error})") from None
-        # Whatever a list says, nothing but a run's files is touched.
-        return {path for path in self.outputs if path.relative_to(self.path).as_posix() in names}
+        self.files.require_own(self.files.outputs)
 
     def claim(self, *paths: Path) -> None:
-        """Takes files to the list, before they are written.
+        """Takes files to the list of those that runs have written, before they are.
 
         Raises
         ------
         DataError : one is there already that no run has written; the list cannot be written
         """
         if not self.overwrite:
-            self._refuse(self._foreign(paths))
-        listed = self._listed() if self.list_file.exists() else set()
-        if self.list_file.exists() and listed.issuperset(paths):
-            return
-        names = sorted(path.relative_to(self.path).as_posix() for path in listed.union(paths))
-        with written_whole(self.list_file) as partial:
-            partial.write_text(json.dumps(names, indent=1) + "\n", encoding="utf-8")
+            self.files.require_own(paths)
+        self.files.claim(*paths)
 
     def _check_folder(self) -> None:
         if self.path.exists() and not self.path.is_dir():
@@ -151,9 +107,9 @@ class RunFolder:
         DataError : the checkpoint is damaged, or there is none beside the result of a run
         """
         self._check_folder()
-        if self.checkpoint_file.exists():
-            return read_checkpoint(self.checkpoint_file)
-        if self.reconstruction_file.exists():
+        if self.files.checkpoint.exists():
+            return read_checkpoint(self.files.checkpoint)
+        if self.files.reconstruction.exists():
             raise DataError(f"{self.path}: holds the result of a run, but no checkpoint to go on from")
         return None
 
@@ -171,7 +127,7 @@ class RunFolder:
         with self._writing():
             if not self.started:
                 self._start([field.name for field in fields(record)])
-            self._history.append(record)
+            self.history.append(record)
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -181,23 +137,23 @@ class RunFolder:
             raise DataError(f"{self.path}: could not be written ({reason(error, self.path)})") from None
 
     def _start(self, names: list[str]) -> None:
-        self.figures.mkdir(parents=True, exist_ok=True)
+        self.files.figures.mkdir(parents=True, exist_ok=True)
         # What a killed run was writing.
-        for folder in (self.path, self.figures):
+        for folder in (self.path, self.files.figures):
             remove_abandoned(folder)
         if self.overwrite:
-            for file in self._listed().union(self._of_the_run) - {self.settings_file}:
+            for file in self.files.own().union(self.files.of_recovery) - {self.files.settings}:
                 file.unlink(missing_ok=True)
-        self.claim(*self._of_the_run)
-        with written_whole(self.settings_file) as partial:
+        self.claim(*self.files.of_recovery)
+        with written_whole(self.files.settings) as partial:
             partial.write_text(json.dumps(self._settings, indent=2) + "\n", encoding="utf-8")
         # A run may have been killed after its checkpoint: the history is that of the checkpoint.
-        self._history.begin(names, self._before or ())
+        self.history.begin(names, self._before or ())
         self.started = True
 
     def close(self) -> None:
         """Closes the history."""
-        self._history.close()
+        self.history.close()
 
     def write_reconstruction(
         self,
@@ -217,8 +173,8 @@ class RunFolder:
             with self._writing():
                 self._start([field.name for field in fields(self._before[0])])
             self.close()
-        self.claim(self.reconstruction_file)
-        with written_whole(self.reconstruction_file) as partial:
+        self.claim(self.files.reconstruction)
+        with written_whole(self.files.reconstruction) as partial:
             if measurements is None:
                 write_extinction(partial, grid, extinction, attributes)
             else:
@@ -237,28 +193,24 @@ class RunFolder:
         import netCDF4
 
         self.check_finished()
-        grid, extinction = read_extinction(self.reconstruction_file)
+        grid, extinction = read_extinction(self.files.reconstruction)
         try:
-            with netCDF4.Dataset(self.reconstruction_file) as dataset:
+            with netCDF4.Dataset(self.files.reconstruction) as dataset:
                 stored = dataset[MASK]
                 mask = np.asarray(stored[:]).astype(bool).transpose([stored.dimensions.index(name) for name in AXES])
         except (OSError, RuntimeError, IndexError, ValueError, TypeError) as error:
-            raise DataError(f"{self.reconstruction_file}: has no mask that can be read ({error})") from None
+            raise DataError(f"{self.files.reconstruction}: has no mask that can be read ({error})") from None
         if mask.shape != grid.shape:
-            raise DataError(f"{self.reconstruction_file}: mask has shape {mask.shape}, the grid {grid.shape}")
+            raise DataError(f"{self.files.reconstruction}: mask has shape {mask.shape}, the grid {grid.shape}")
         return grid, extinction, mask
-
-    def read_history(self) -> dict[str, np.ndarray]:
-        """A column for each field of an iteration; NaN where nothing is known."""
-        return self._history.read()
 
     def read_settings(self) -> dict[str, Any]:
         """What `begin` took."""
         try:
-            settings = json.loads(self.settings_file.read_text(encoding="utf-8"))
+            settings = json.loads(self.files.settings.read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError) as error:
-            raise DataError(f"{self.settings_file}: are no settings of a run ({error})") from None
+            raise DataError(f"{self.files.settings}: are no settings of a run ({error})") from None
         files = settings.get("files", {}) if isinstance(settings, dict) else None
         if not isinstance(files, dict) or not all(isinstance(name, str) for name in files.values()):
-            raise DataError(f"{self.settings_file}: are no settings of a run (they must be a table, files among it)")
+            raise DataError(f"{self.files.settings}: are no settings of a run (they must be a table, files among it)")
         return settings

@@ -78,7 +78,7 @@ def _run(
     from cloudtomo_cl.files import i3rc
     from cloudtomo_cl.files.netcdf import check_output
     from cloudtomo_cl.files.whole import written_whole
-    from cloudtomo_cl.opencl.device import choose_device
+    from cloudtomo_cl.opencl.devices import choose_device
 
     if output is not None:
         check_output(output, overwrite, tuple(WRITERS))

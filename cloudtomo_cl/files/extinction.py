@@ -22,7 +22,7 @@ from cloudtomo_cl.files.netcdf import (
     save_dataset,
 )
 from cloudtomo_cl.files.wavelengths import WAVELENGTH, at_wavelength, wavelength_coordinate, wavelengths_of
-from cloudtomo_cl.scene.arrays import filled
+from cloudtomo_cl.scene.arrays import unmasked
 from cloudtomo_cl.scene.droplets import GEOMETRIC_EXTINCTION_EFFICIENCY
 from cloudtomo_cl.scene.grid import Grid
 
@@ -291,7 +291,7 @@ def extinction_variables(
     path: Any, grid: Grid, extinction: np.ndarray, effective_radius: np.ndarray | None = None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Variables and coordinates of an extinction, checked."""
-    extinction = filled(extinction)
+    extinction = unmasked(extinction)
     if extinction.shape != grid.shape:
         raise DataError(f"{path}: extinction has shape {extinction.shape}, the grid {grid.shape}")
     if not np.isfinite(extinction).all():
@@ -315,7 +315,7 @@ def extinction_variables(
     }
     variables: dict[str, Any] = {"extinction": (WRITTEN_AXES, extinction.T.astype(np.float32), described)}
     if effective_radius is not None:
-        effective_radius = filled(effective_radius)
+        effective_radius = unmasked(effective_radius)
         if effective_radius.shape != grid.shape:
             raise DataError(f"{path}: effective_radius has shape {effective_radius.shape}, the grid {grid.shape}")
         check_radius(path, effective_radius, extinction > 0)

@@ -13,7 +13,8 @@ import numpy as np
 from cloudtomo_cl.inversion.terms import Term, shares_of
 from cloudtomo_cl.inversion.vectors import PARTS, Vectors
 from cloudtomo_cl.opencl.arrays import DeviceArray
-from cloudtomo_cl.opencl.device import Device, device_errors
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.opencl.gathering import Gathering
 from cloudtomo_cl.opencl.layout import STRUCTS
 

@@ -14,7 +14,7 @@ from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import coarsened
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
-from cloudtomo_cl.transport.radiance import footprint
+from cloudtomo_cl.transport.rendering_memory import footprint
 from cloudtomo_cl.transport.tiles import about_how_many_entries
 
 # Bytes per voxel of the prior's arrays on the device; and on the host of extinctions, of the stage and the finest grid.

@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from cloudtomo_cl.inversion.noise_units import NoiseUnits
-from cloudtomo_cl.inversion.patch_operator import PatchOperator, PatchQuadratic
+from cloudtomo_cl.inversion.patch_operator import PatchOperator
+from cloudtomo_cl.inversion.patch_quadratic import PatchQuadratic
 from cloudtomo_cl.inversion.vectors import Vectors
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.parallel.ranks import Shares

@@ -10,15 +10,18 @@ import numpy as np
 
 from cloudtomo_cl.blas import with_one_blas_thread
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.inversion.bound_priors import stage_prior
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.noise_units import NoiseUnits
 from cloudtomo_cl.inversion.objective import AveragedImage
 from cloudtomo_cl.inversion.pixels import ActivePixels, active_pixels
-from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser, stage_prior
+from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser
 from cloudtomo_cl.inversion.stage_prior import StagePrior
 from cloudtomo_cl.inversion.voxels import Voxels
-from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
-from cloudtomo_cl.scene.arrays import filled
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.devices import choose_device
+from cloudtomo_cl.opencl.driver import device_errors
+from cloudtomo_cl.scene.arrays import unmasked
 from cloudtomo_cl.scene.grid import Grid, coarsened
 from cloudtomo_cl.scene.masks import checked_mask
 from cloudtomo_cl.scene.measurements import Measurements, check_wavelength
@@ -208,7 +211,7 @@ class Problem:
         return next(count for count in (samples, self.samples, self.default_samples) if count is not None)
 
     def _checked(self, x: np.ndarray) -> np.ndarray:
-        x = np.asarray(filled(x), float)
+        x = np.asarray(unmasked(x), float)
         if x.shape != (len(self.voxels),):
             raise DataError(f"x has shape {x.shape}: it must be ({len(self.voxels)},), the voxels of the mask")
         return x

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import warnings
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
 
-from cloudtomo_cl.errors import DataError, DeviceError
+from cloudtomo_cl.inversion.bound_priors import unlike_prior
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, identity_of, read_checkpoint
-from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser, unlike_prior
+from cloudtomo_cl.inversion.checks import by_default, check, check_ends, check_memory, require_one_question
+from cloudtomo_cl.inversion.priors import AnyPrior, Regulariser
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.records import History, IterationRecord, Reconstruction
 from cloudtomo_cl.inversion.run import (
-    DIVERGED_DEPTH,
     KeepCheckpoints,
     KeepHistory,
     Run,
@@ -34,29 +31,21 @@ from cloudtomo_cl.inversion.run import (
     require_same,
     settled,
 )
-from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.inversion.solvers.protocol import Solver
 from cloudtomo_cl.inversion.solvers.state import restored
 from cloudtomo_cl.inversion.stages import Stage, stages_of
 from cloudtomo_cl.inversion.start import uniform_start
 from cloudtomo_cl.inversion.uncertainty import DRAWS
-from cloudtomo_cl.memory import shape_text
-from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
-from cloudtomo_cl.opencl.memory import Footprint
-from cloudtomo_cl.parallel.ranks import Ranks
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.devices import choose_device
+from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.renamed import renamed_arguments
-from cloudtomo_cl.scene.grid import Grid, mean_chord, resample_in_mask
+from cloudtomo_cl.scene.grid import resample_in_mask
 from cloudtomo_cl.scene.masks import checked_mask
-from cloudtomo_cl.scene.measurements import Measurements, check_wavelength
-from cloudtomo_cl.scene.metrics import epsilon
+from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
-from cloudtomo_cl.scene.seeds import checked_seed
 
 _LOGGER = logging.getLogger(__name__)
-# Optical depth along a mean chord of the domain that a start given by the user has at least.
-_LEAST_START = 1e-3
-# What to do where memory is short.
-_FEWER = "choose a coarser [grid] or [[stage]], or fewer samples or pixels"
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,11 +131,11 @@ def reconstruct(
     DeviceError : the device failed or has not enough memory
     """
     device = device or choose_device()
-    prior, solver = _by_default(prior, solver)
+    prior, solver = by_default(prior, solver)
     ranks = device.ranks
 
     def checked() -> Checkpoint | None:
-        _check_ends(time_limit, checkpoint_interval, uncertainty)
+        check_ends(time_limit, checkpoint_interval, uncertainty)
         own = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
         check(scene, measurements, stages, prior, solver, mask=mask, device=device, seed=seed, truth=truth, resume=own)
         return own
@@ -154,7 +143,7 @@ def reconstruct(
     resumed = ranks.together(checked)
     stages = stages_of(scene.grid, stages, solver)
     given = np.empty(0) if mask is None else checked_mask(mask, scene.grid)
-    _require_one_question(ranks, identity_of(scene, measurements, stages, prior, solver, given, truth, seed))
+    require_one_question(ranks, identity_of(scene, measurements, stages, prior, solver, given, truth, seed))
     if ranks.is_first and (unlike := unlike_prior(prior, scene.grid)):
         warnings.warn(unlike, RuntimeWarning, stacklevel=3)  # of who calls, by way of `renamed_arguments`
     if mask is None:
@@ -170,8 +159,7 @@ def reconstruct(
     guard = partial(guard_divergence, solver=solver)
     watchers = (require_same, guard, KeepHistory(truth, callback), keeper)
     problem, state = _iterated(question, solver, run, resumed, watchers, keeper, (limit, asked), seed)
-    absent = _no_standard_error(problem, solver, run, uncertainty, asked(run))
-    error, absent = (None, absent) if absent else _standard_error(problem, solver, state, run, uncertainty, seed)
+    error, absent = _standard_error(problem, solver, state, run, uncertainty, seed, asked(run))
     extinction = run.on_finest_grid(problem.on_grid(state.estimate))
     views = measurements.moved(getattr(state, "motions", None), scene.grid).views
     history = History(run.history)
@@ -250,125 +238,12 @@ def _no_standard_error(problem: Problem, solver: Any, run: Run, draws: int, stop
 
 @device_errors("the standard errors")
 def _standard_error(
-    problem: Problem, solver: Any, state: Any, run: Run, draws: int, seed: int
+    problem: Problem, solver: Any, state: Any, run: Run, draws: int, seed: int, stopped: bool
 ) -> tuple[np.ndarray | None, str]:
     """Of the estimate, km^-1, on the finest grid; or none, and why."""
+    if absent := _no_standard_error(problem, solver, run, draws, stopped):
+        return None, absent
     error: np.ndarray | None = solver.standard_error(problem, state, draws, seed)
     if error is None:
         return None, "the solver does not know it"
     return run.on_finest_grid(problem.on_grid(error)), ""
-
-
-def check(
-    scene: Scene,
-    measurements: Measurements,
-    stages: Sequence[Stage] | None = None,
-    prior: AnyPrior | Regulariser | None = None,
-    solver: Solver | None = None,
-    *,
-    mask: np.ndarray | None = None,
-    device: Device,
-    seed: int = 0,
-    truth: np.ndarray | None = None,
-    resume: Checkpoint | None = None,
-) -> None:
-    """Refuses what `reconstruct` with the same arguments would refuse, without a path.
-
-    What the solver keeps for the voxels of the mask counts as far as that is known: given, or a checkpoint's.
-
-    Raises
-    ------
-    DataError, DeviceError : as `reconstruct`
-    """
-    prior, solver = _by_default(prior, solver)
-    stages = stages_of(scene.grid, stages, solver)
-    checked_seed(seed)
-    check_wavelength(scene, measurements)
-    unlike_prior(prior, scene.grid)  # which reads its file
-    if truth is not None and np.shape(truth) != scene.grid.shape:
-        raise DataError(f"truth has shape {np.shape(truth)}, the grid {scene.grid.shape}")
-    if truth is not None:
-        epsilon(np.zeros(scene.grid.shape), truth)  # which refuses what is missing
-    if mask is None and resume is not None:
-        mask = resume.mask
-    if mask is not None:
-        mask = checked_mask(mask, scene.grid)
-    check_memory(scene, measurements, stages, device, solver, mask)
-    _check_start(scene.grid, stages, solver)
-    if resume is not None and mask is not None:
-        resume.check(identity_of(scene, measurements, stages, prior, solver, mask, truth, seed))
-
-
-def _by_default(prior: AnyPrior | Regulariser | None, solver: Solver | None) -> tuple[AnyPrior | Regulariser, Solver]:
-    """What is given, even if it is false in Python (an object of length 0), or what recoveries have by default."""
-    return PatchPrior() if prior is None else prior, GaussNewton() if solver is None else solver
-
-
-def _require_one_question(ranks: Ranks, identity: dict[str, Any]) -> None:
-    """DataError on all ranks if they were given different things, of which they would make a mixture."""
-    # Of a user's prior or solver the text may tell its place in memory, which ranks do not share.
-    names = [name for name in identity if name not in ("prior", "solver")]
-    asked = ranks.all({name: zlib.crc32(json.dumps(identity[name]).encode()) for name in names})
-    differ = [name for name in names if len({one[name] for one in asked}) > 1]
-    if differ:
-        raise DataError(f"ranks were given different {', '.join(differ)}: all call this with the same arguments")
-
-
-def _check_ends(time_limit: Any, checkpoint_interval: Any, uncertainty: Any) -> None:
-    """DataError for what would be found wrong only after an iteration, or when the recovery is done."""
-    seconds = {"time_limit": time_limit, "checkpoint_interval": checkpoint_interval}
-    for name, value in seconds.items():
-        if not (isinstance(value, Real) and float(value) >= 0) and not (name == "time_limit" and value is None):
-            raise DataError(f"{name} is {value!r}: it must be a number of seconds, at least 0")
-    if not isinstance(uncertainty, Integral) or int(uncertainty) < 0:
-        raise DataError(f"uncertainty is {uncertainty!r}: it must be a whole number of draws, at least 0")
-
-
-def _check_start(grid: Grid, stages: Sequence[Stage], solver: Any) -> None:
-    """DataError if the first render would be of something that light never leaves, or of next to nothing.
-
-    From that no step comes away: its images say nothing, and a prior that is measured by it forbids everything else.
-    """
-    start, chord = getattr(solver, "start", None), mean_chord(grid.extent)
-    if start is not None and start * chord < _LEAST_START:
-        raise DataError(
-            f"solver.start is {start:g} km^-1, an optical depth of {start * chord:.3g} across the domain: it must be "
-            f"at least {_LEAST_START / chord:.3g} km^-1; without it recoveries begin with what the images say"
-        )
-    edge = max(max(grid.with_shape(stage.grid).spacing) for stage in stages)
-    for name in ("start", "floor"):
-        value = getattr(solver, name, None) or 0.0
-        if not value * edge < DIVERGED_DEPTH:
-            raise DataError(
-                f"solver.{name} is {value:g} km^-1, an optical depth of {value * edge:.3g} across a voxel of "
-                f"{edge:g} km: it must be below {DIVERGED_DEPTH / edge:.3g} km^-1"
-            )
-
-
-def check_memory(
-    scene: Scene,
-    measurements: Measurements,
-    stages: Sequence[Stage],
-    device: Device,
-    solver: Any = None,
-    mask: np.ndarray | None = None,
-) -> str:
-    """DataError or DeviceError if a stage would not fit into the memory of machine and device.
-
-    mask : bool, on the scene's grid; without one all voxels count, and what solvers keep does not
-
-    Returns a warning if one would not fit where it recovers a cloud as deep as can be; otherwise nothing.
-    """
-    from cloudtomo_cl.inversion.footprint import deep_growth, stage_footprint
-
-    tight = ""
-    for stage in stages:
-        pixels = sum(image.size for image in measurements.images)
-        what = f"a reconstruction with {shape_text(stage.grid)} voxels and {pixels} pixels"
-        needed: Footprint = stage_footprint(scene, measurements, stage, solver, mask, device.ranks.size)
-        needed.require(device, what, _FEWER)
-        try:
-            (needed + deep_growth(stage, solver, mask)).require(device, f"{what}, of a very deep cloud,", _FEWER)
-        except (DataError, DeviceError) as error:
-            tight = f"{error}. It begins, and ends with an error if the cloud turns out so deep"
-    return tight

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import deque
 from typing import Any
 
-from cloudtomo_cl.opencl.device import Device, device_errors
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.driver import device_errors
 
 # Seconds that a launch should take, and number of launches queued behind the one that runs.
 _LAUNCH_SECONDS, _AHEAD = 0.4, 1

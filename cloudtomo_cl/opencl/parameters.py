@@ -174,8 +174,8 @@ KERNELS: dict[str, tuple[str, ...]] = {
         "volatile __global Accumulator *far_sums",  # [pixel block][block]: sums
         *_TURNS,
     ),
-    "near_count": (*_TILES, "const uint pixel_count", "__global uint *counts"),
-    "near_fill": (*_TILES, "const uint pixel_count", "const __global uint *row_start", "__global int *columns"),
+    "count_near": (*_TILES, "const uint pixel_count", "__global uint *counts"),
+    "list_near": (*_TILES, "const uint pixel_count", "const __global uint *row_start", "__global int *columns"),
     "average_near": (
         "__constant Scene *scene",
         "const __global int *column",

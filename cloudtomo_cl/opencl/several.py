@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 from cloudtomo_cl.errors import DeviceError
-from cloudtomo_cl.opencl.device import Device, choose_device
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.devices import choose_device
 from cloudtomo_cl.parallel.ranks import Ranks
 from cloudtomo_cl.parallel.threads import shared_by_threads
 

@@ -168,7 +168,7 @@ def plot_history(axes: Axes, history: Mapping[str, np.ndarray]) -> None:
 
     Parameters
     ----------
-    history : columns as `RunFolder.read_history` gives them
+    history : columns as `HistoryFile.read` gives them
     """
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 

@@ -10,7 +10,7 @@ import numpy as np
 _ORDERS = (("x", "y", "z"), ("row", "column"), ("view", "row", "column"))
 
 
-def filled(values: Any) -> np.ndarray:
+def unmasked(values: Any) -> np.ndarray:
     """An array with NaN for masked values, and the dimensions of an xarray.DataArray in this package's order."""
     dims = getattr(values, "dims", None)
     if isinstance(dims, tuple):

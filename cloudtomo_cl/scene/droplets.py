@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.scene.arrays import filled
+from cloudtomo_cl.scene.arrays import unmasked
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
 
 # Density of liquid water, g m^-3.
@@ -103,7 +103,7 @@ def extinction_from_water(
 
 def _together(**given: Any) -> list[np.ndarray]:
     """Arrays of one shape, double precision. DataError if their shapes do not belong together."""
-    arrays = {name: np.asarray(filled(values), np.float64) for name, values in given.items()}
+    arrays = {name: np.asarray(unmasked(values), np.float64) for name, values in given.items()}
     try:
         return list(np.broadcast_arrays(*arrays.values()))
     except ValueError:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.scene.arrays import filled
+from cloudtomo_cl.scene.arrays import unmasked
 from cloudtomo_cl.scene.grid import Grid
 
 
@@ -22,7 +22,7 @@ def checked_mask(mask: Any, grid: Grid) -> np.ndarray:
     ------
     DataError : the mask has another shape or other values, is missing in a voxel, or has no voxel
     """
-    mask = filled(mask)
+    mask = unmasked(mask)
     if mask.shape != grid.shape:
         raise DataError(f"mask has shape {mask.shape}, the grid {grid.shape}")
     if mask.dtype.kind != "b":

@@ -10,7 +10,7 @@ import numpy as np
 
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.renamed import renamed_attributes
-from cloudtomo_cl.scene.arrays import filled
+from cloudtomo_cl.scene.arrays import unmasked
 from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.grid import Grid, resample
 from cloudtomo_cl.scene.pixel_errors import pooled_standard_errors
@@ -36,7 +36,9 @@ class _Renders(Protocol):
     """What makes images of a rendering: a `RadianceOperator`, which this layer must not import."""
 
     scene: Scene
-    views: tuple[View, ...]
+
+    @property
+    def views(self) -> tuple[View, ...]: ...
 
     def images(self, values: np.ndarray, /) -> list[np.ndarray]: ...
 
@@ -235,7 +237,7 @@ def _radiances(array: Any, name: str) -> np.ndarray:
     ------
     DataError : it holds no real numbers
     """
-    array = filled(array)
+    array = unmasked(array)
     if array.dtype.kind not in "biuf":
         raise DataError(f"measurements: {name} are of type {array.dtype}: they must be real numbers")
     return array if array.dtype.kind == "f" and array.itemsize >= 4 else array.astype(np.float64)

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.scene.arrays import filled
+from cloudtomo_cl.scene.arrays import unmasked
 
 
 def _checked(estimate: Any, truth: Any) -> tuple[np.ndarray, np.ndarray, float]:
     """Both arrays in double precision, and the optical mass of the truth."""
-    estimate, truth = (np.asarray(filled(values), dtype=np.float64) for values in (estimate, truth))
+    estimate, truth = (np.asarray(unmasked(values), dtype=np.float64) for values in (estimate, truth))
     if estimate.shape != truth.shape:
         raise DataError(
             f"estimate has shape {estimate.shape}, truth {truth.shape}: "

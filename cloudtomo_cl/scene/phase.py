@@ -14,7 +14,7 @@ from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.errors import InvalidSettingError
 from cloudtomo_cl.messages import answering
-from cloudtomo_cl.scene.arrays import filled
+from cloudtomo_cl.scene.arrays import unmasked
 
 # Largest error of a table's integral: rounded values and coarse angles pass, another
 # normalisation does not.
@@ -172,8 +172,8 @@ class TabulatedPhaseFunction:
         ------
         InvalidSettingError : a row whose integral is zero or not finite, and as the class does
         """
-        angle = np.asarray(filled(angle), dtype=np.float64)
-        values = np.atleast_2d(np.asarray(filled(values), dtype=np.float64))
+        angle = np.asarray(unmasked(angle), dtype=np.float64)
+        values = np.atleast_2d(np.asarray(unmasked(values), dtype=np.float64))
         if angle.ndim == 1 and values.shape[1:] == angle.shape and len(angle) >= 2:
             integral = sphere_integral(angle, values)
             if not (np.isfinite(integral) & (integral > 0)).all():

@@ -97,8 +97,8 @@ def image_motions(view: View, image: np.ndarray, grid: Grid) -> np.ndarray:
     """
     from scipy.ndimage import gaussian_filter
 
-    filled = _without_gaps(image)
-    slopes = np.stack([gaussian_filter(filled, _BLUR, order=order) for order in ((0, 1), (1, 0))], axis=-1)
+    whole = _without_gaps(image)
+    slopes = np.stack([gaussian_filter(whole, _BLUR, order=order) for order in ((0, 1), (1, 0))], axis=-1)
     return (slopes[..., None, :] @ pixel_motions(view, grid))[..., 0, :]
 
 

@@ -18,7 +18,7 @@ from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, WithJso
 from pydantic.dataclasses import dataclass
 
 from cloudtomo_cl.messages import answering
-from cloudtomo_cl.scene.arrays import filled
+from cloudtomo_cl.scene.arrays import unmasked
 from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.grid import Count, Grid, Length, Triple
 from cloudtomo_cl.scene.scene import Angle, Scene, direction
@@ -365,7 +365,7 @@ class RadiometerView(AffineView):
 def _rows_of_three(values: Any) -> np.ndarray:
     """A copy that cannot be written to, so that a view stays what it was."""
     try:
-        array = np.array(filled(values), dtype=np.float64)
+        array = np.array(unmasked(values), dtype=np.float64)
     except (TypeError, ValueError):
         raise ValueError("must be an array of numbers of shape (rays, 3)") from None
     if array.ndim != 2 or array.shape[1] != 3 or not len(array):

@@ -9,14 +9,17 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.devices import choose_device
+from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.opencl.fixed_point import summed
 from cloudtomo_cl.opencl.layout import FLUXES, MOST_SAMPLES, WEIGHT_UNIT, sun_view_struct
 from cloudtomo_cl.opencl.pace import Pace
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.seeds import checked_seed
 from cloudtomo_cl.transport.audit import Audit, Budget
-from cloudtomo_cl.transport.medium import FilledMedium, Medium
+from cloudtomo_cl.transport.device_scene import DeviceScene
+from cloudtomo_cl.transport.medium import Medium
 
 # Standard errors are from the spread of so many independent parts of a run.
 _BATCHES = 32
@@ -127,11 +130,11 @@ class FluxOperator:
             )
         self.scene = scene
         self.device = device or choose_device()
-        self._medium = Medium(scene, self.device, effective_radius)
+        self._device_scene = DeviceScene(scene, self.device, effective_radius)
         sun_view, self._area = sun_view_struct(scene)
         self._pixels = int(sun_view["width"]) * int(sun_view["height"])
         self._sun_view = self.device.constant(sun_view)
-        self._trace_photons = self.device.kernel("flux", "trace_photons", self._medium.features)
+        self._trace_photons = self.device.kernel("flux", "trace_photons", self._device_scene.features)
         self._pace = Pace(self.device)
 
     @device_errors("the fluxes")
@@ -160,13 +163,13 @@ class FluxOperator:
         """
         photons = checked_photons(photons)
         seed = checked_seed(seed)
-        field = self._medium.filled(extinction, skips_empty=True)
+        medium = self._device_scene.medium(extinction, skips_empty=True)
         samples = -(-photons // (_BATCHES * self._pixels))  # per pixel of the sun and batch
         if _BATCHES * samples > MOST_SAMPLES:
             most = MOST_SAMPLES // _BATCHES * _BATCHES * self._pixels
             raise DataError(f"photons is {photons:.6g}: this scene has at most {most:.6g}")
         budget = Budget(self.device)
-        batches = self._traced(field, samples, seed, budget, progress)
+        batches = self._traced(medium, samples, seed, budget, progress)
         launched = _BATCHES * samples * self._pixels
         audit = budget.audit()
         audit.check(launched)
@@ -178,7 +181,7 @@ class FluxOperator:
         return Fluxes(**named, incident=incident, photons=launched, seed=seed, audit=audit, _batches=batches)
 
     def _traced(
-        self, medium: FilledMedium, samples: int, seed: int, budget: Budget, progress: Callable[[int], None] | None
+        self, medium: Medium, samples: int, seed: int, budget: Budget, progress: Callable[[int], None] | None
     ) -> np.ndarray:
         """Weights that photons have left in the columns, shape (batches, kinds, nx, ny).
 

@@ -13,7 +13,8 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator
 
 from cloudtomo_cl.opencl.arrays import DeviceArray
-from cloudtomo_cl.opencl.device import Device, device_errors
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.opencl.gathering import Gathering
 from cloudtomo_cl.opencl.layout import TILE_WIDTH
 from cloudtomo_cl.opencl.memory import Footprint
@@ -56,7 +57,7 @@ class Jacobian(LinearOperator):
         super().__init__(np.dtype(np.float32), (structure.pixels, structure.voxels))
         self._structure, self._near, self._far, self._columns = structure, near, far, columns
         self._pixel_members, self._voxel_members = (
-            self._members(blocks) for blocks in (structure.pixel_blocks, structure.voxel_blocks)
+            self._members(blocks) for blocks in (structure.far.pixel_blocks, structure.far.voxel_blocks)
         )
         self._work: dict[tuple[str, int], DeviceArray] = {}
         self._of_pixels = Gathering(structure.device, structure.shares)
@@ -110,14 +111,14 @@ class Jacobian(LinearOperator):
     def times(self, x: DeviceArray, result: DeviceArray) -> None:
         """Makes `result`, shape (pixels,), J x; both on the device, float32."""
         structure = self._structure
-        blocks, row_blocks, rows = len(structure.voxel_blocks), len(structure.row_blocks), structure.rows
+        blocks, row_blocks, rows = len(structure.far.voxel_blocks), len(structure.far.row_blocks), structure.rows
         sums = self._sum_members(self._voxel_members, x)
         counts = {"pixel_block_count": row_blocks, "block_count": blocks}
         far = self._in_parts("far_times", blocks, row_blocks, row_blocks, **counts, far=self._far, x=sums)
         part = result if structure.shares.owner is None else self._array("part", rows)
         self._launch(
             "jacobian_times", rows, pixel_count=rows, row_start=structure.near.start, columns=structure.near.columns,
-            values=self._near, pixel_block=structure.pixel_block, of_blocks=far, x=x, result=part,
+            values=self._near, pixel_block=structure.far.pixel_block, of_blocks=far, x=x, result=part,
         )  # fmt: skip
         self._of_pixels.join(part, result)
 
@@ -134,7 +135,7 @@ class Jacobian(LinearOperator):
 
     def _far_transposed(self, y: DeviceArray, squares: bool) -> DeviceArray:
         """The far field's part for this rank's blocks of voxels."""
-        rows, blocks = len(self._structure.pixel_blocks), len(self._columns.blocks)
+        rows, blocks = len(self._structure.far.pixel_blocks), len(self._columns.blocks)
         sums = self._sum_members(self._pixel_members, y)
         return self._in_parts(
             "far_transposed", rows, blocks, -(-blocks // COLUMNS_AT_ONCE), pixel_block_count=rows,

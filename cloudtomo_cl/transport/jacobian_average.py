@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from cloudtomo_cl.opencl.arrays import DeviceArray
-from cloudtomo_cl.opencl.device import device_errors
+from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.opencl.fixed_point import overflow
 from cloudtomo_cl.opencl.layout import DERIVATIVE_UNIT
 from cloudtomo_cl.transport.jacobian import SLOTS_AT_ONCE, Jacobian
@@ -48,11 +48,11 @@ class JacobianAverage:
         operator, device = self._operator, self._operator.device
         builder = RadianceTableBuilder(operator)
         structure = JacobianStructure(operator, builder.column)
-        rows, blocks = structure.row_blocks, structure.voxel_blocks
+        rows, blocks = structure.far.row_blocks, structure.far.voxel_blocks
         self._near = device.zeros(max(structure.near.count, 1), np.float32)
         self._far = device.zeros((max(len(rows), 1), len(blocks)), np.float32)
         self._sizes = {
-            "block_pixels": device.constant(structure.pixel_blocks.sizes[rows]),
+            "block_pixels": device.constant(structure.far.pixel_blocks.sizes[rows]),
             "block_voxels": device.constant(blocks.sizes),
         }
         return builder, structure
@@ -76,18 +76,17 @@ class JacobianAverage:
         overflown = operator.device.zeros(1, np.uint32)
         far_sums = operator.device.zeros(self._far.shape, np.int64)
         for first, count in self._rows():
-            sums = operator.device.zeros(max(structure.tiles.slots(first, count), 1), np.int64)
+            sums = operator.device.zeros(max(structure.near.tiles.slots(first, count), 1), np.int64)
             self._add_paths(table, rendering, first, count, sums, far_sums)
             operator.device.launch(
-                operator.device.kernel("near_field", "average_near"), count, scene=structure.scene_struct,
-                column=structure.column, **structure.tiles.arguments, first_pixel=first, row_count=count,
-                row_start=structure.near.start, near_sums=sums, keep=1 - rate, unit=unit, values=self._near,
+                operator.device.kernel("near_field", "average_near"), count, **structure.near.arguments,
+                first_pixel=first, row_count=count, near_sums=sums, keep=1 - rate, unit=unit, values=self._near,
                 overflown=overflown,
             )  # fmt: skip
         operator.device.launch(
             operator.device.kernel("near_field", "average_far"), self._far.size,
-            pixel_block_count=len(structure.row_blocks), block_count=len(structure.voxel_blocks), far_sums=far_sums,
-            **self._sizes, keep=1 - rate, unit=unit, far=self._far, overflown=overflown,
+            pixel_block_count=len(structure.far.row_blocks), block_count=len(structure.far.voxel_blocks),
+            far_sums=far_sums, **self._sizes, keep=1 - rate, unit=unit, far=self._far, overflown=overflown,
         )  # fmt: skip
         if overflown.get()[0]:
             raise overflow("the Jacobian")
@@ -102,15 +101,15 @@ class JacobianAverage:
         far_sums: DeviceArray,
     ) -> None:
         """Adds the derivatives of the paths of so many pixels from one on."""
-        structure = self.structure
+        near, far = self.structure.near, self.structure.far
         device, features = self._operator.device, self._builder.features
         of_paths, of_rays = (device.kernel("jacobian", name, features) for name in ("jacobian_paths", "jacobian_rays"))
         left = rays(rendering)
         weight = rendering.samples / left
         arguments = table.arguments | {
-            **structure.tiles.arguments, "first_pixel": first, "row_count": count, "place": structure.place,
-            "block": structure.block, "pixel_block": structure.pixel_block,
-            "block_count": len(structure.voxel_blocks), "near_sums": near_sums, "far_sums": far_sums,
+            **near.tiles.arguments, "first_pixel": first, "row_count": count, "place": near.place,
+            "block": far.voxel_block, "pixel_block": far.pixel_block, "block_count": len(far.voxel_blocks),
+            "near_sums": near_sums, "far_sums": far_sums,
         }  # fmt: skip
         for launch in self._operator.stored_launches(rendering):
             launch.run_rows(of_paths, count, **arguments)
@@ -118,7 +117,7 @@ class JacobianAverage:
 
     def _rows(self) -> list[tuple[int, int]]:
         """Pixels whose sums are made at a time: the first, and how many."""
-        start, parts, first = self.structure.tiles.start_on_host, [], 0
+        start, parts, first = self.structure.near.tiles.start_on_host, [], 0
         most = SLOTS_AT_ONCE // self._operator.ranks.size
         if not self._operator.device.regenerates:
             most = min(most, _SLOTS_ON_CPU)

@@ -12,7 +12,7 @@ from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.layout import MOST_SAMPLES, TABLE_UNIT, sun_view_struct
 from cloudtomo_cl.opencl.pace import Pace
 from cloudtomo_cl.scene.scene import Scene
-from cloudtomo_cl.transport.medium import FilledMedium
+from cloudtomo_cl.transport.medium import Medium
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
 # Where light enters an open domain photons start, for each from the sun so many times what surface and air outside
@@ -65,7 +65,7 @@ class Photons:
         self._no_weights = device.empty(1, np.float32)
 
     def fill(
-        self, medium: FilledMedium, photons: int, seed: int, stream: int, table: dict[str, Any], sums: DeviceArray
+        self, medium: Medium, photons: int, seed: int, stream: int, table: dict[str, Any], sums: DeviceArray
     ) -> float:
         """Adds what this rank's photons bring.
 

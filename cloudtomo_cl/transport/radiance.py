@@ -10,36 +10,29 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from cloudtomo_cl.errors import DataError, TransportError
-from cloudtomo_cl.memory import require_countable, shape_text, voxels_of
+from cloudtomo_cl.memory import voxels_of
 from cloudtomo_cl.opencl.arrays import DeviceArray
-from cloudtomo_cl.opencl.device import Device, choose_device, device_errors
-from cloudtomo_cl.opencl.layout import STRUCTS, ray_array, view_structs
-from cloudtomo_cl.opencl.memory import Footprint
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.devices import choose_device
+from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.opencl.pace import Pace
 from cloudtomo_cl.parallel.ranks import Ranks, Shares
 from cloudtomo_cl.renamed import renamed_arguments, renamed_attributes
-from cloudtomo_cl.scene.pixels import all_pixels, checked_pixels
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.sensors import View
 from cloudtomo_cl.transport.audit import Budget, check_replays
-from cloudtomo_cl.transport.blocks import pixel_blocks
+from cloudtomo_cl.transport.device_pixels import DevicePixels
+from cloudtomo_cl.transport.device_scene import DeviceScene
 from cloudtomo_cl.transport.gradient import deposited
-from cloudtomo_cl.transport.in_parts import BYTES_OF_LIST, kept, on_device, pixels_at_once
 from cloudtomo_cl.transport.launches import Launch, StoredLaunch
-from cloudtomo_cl.transport.medium import FilledMedium, Medium
+from cloudtomo_cl.transport.medium import Medium
+from cloudtomo_cl.transport.path_sums import PathSums, statistics
 from cloudtomo_cl.transport.rendering import Rendering, joined
+from cloudtomo_cl.transport.rendering_memory import on_device, pixels_at_once, require_memory
 from cloudtomo_cl.transport.samples import Samples
 from cloudtomo_cl.transport.virtual_collisions import FEW_PATHS, VirtualCollisions
 
 Estimator = Literal["side-flights", "plain"]
-
-# The longest sum that a work item makes in one launch. Watchdogs end launches that take too long, and Mesa's llvmpipe
-# ends loops after 65,535 rounds without an error.
-_LONGEST_SUM = 1 << 15
-# On the device: extinction and what skips empty blocks; sums; stored paths. On the host: what sums become.
-_BYTES_PER_VOXEL, _BYTES_PER_PIXEL, _BYTES_PER_PATH, _HOST_BYTES_PER_PIXEL = 8, 48, 4, 160
-# Pixels that are rendered together at least: with less room a problem is refused.
-_FEWEST_AT_ONCE = 4096
 
 
 @renamed_attributes(field="on_device", kept_launches="stored_launches")
@@ -99,25 +92,17 @@ class RadianceOperator:
                 f"estimator is {estimator!r}: it must be {allowed}, or None for the one that suits the cloud"
             )
         self.scene = scene
-        self.views = tuple(views)
         self.device = device or choose_device()
         self.estimator: Estimator = estimator or ("side-flights" if scene.cloud.phase_function.g >= 0.5 else "plain")
         if pixels is None:
-            _require_memory(self.device, scene.grid.shape, sum(voxels_of(view.pixels) for view in self.views))
-        self._medium = Medium(
+            require_memory(self.device, scene.grid.shape, sum(voxels_of(view.pixels) for view in views))
+        self._device_scene = DeviceScene(
             scene, self.device, effective_radius, self.estimator == "side-flights", truncation or np.inf, mask
         )
-        self.mask = self._medium.mask
-        self.features = self._medium.features
-        self.scene_struct = self._medium.struct
-        # Views from afar look through all of the atmosphere.
-        self._views = self.device.constant(view_structs(self.views, scene.grid, scene.top))
-        self._rays = self.device.constant(ray_array(self.views, scene))
-        self._take(all_pixels(self.views) if pixels is None else checked_pixels(self.views, pixels))
-        self._render_paths = self.device.kernel("image", "render_paths", self._medium.features)
-        self._sum_paths = self.device.kernel("image", "sum_paths", self._medium.features)
-        self._virtual_collisions = VirtualCollisions(self._medium)
+        self._pixels = DevicePixels(scene, views, self.device, pixels)
         self._pace = Pace(self.device)
+        self._path_sums = PathSums(self._pace, self.features)
+        self._virtual_collisions = VirtualCollisions(self._device_scene)
 
     @renamed_arguments(iteration="stream", keep_paths="store_paths")
     @device_errors("rendering")
@@ -156,10 +141,12 @@ class RadianceOperator:
             return self._render_in_parts(at_once, extinction, samples, progress, **options)
         paths = Samples.checked(samples, seed, stream, first_sample)
         medium, budget = self.ranks.together(
-            lambda: (self._medium.filled(extinction, skips_empty=not store_paths), Budget(self.device))
+            lambda: (self._device_scene.medium(extinction, skips_empty=not store_paths), Budget(self.device))
         )
-        sums, launches = self.ranks.together(lambda: self._walk(medium, paths, budget, store_paths, progress))
-        return self._rendering(self._shares.gathered(sums), paths, budget, medium, launches)
+        sums, launches = self.ranks.together(
+            lambda: self._path_sums.of(medium, self._pixels, paths, budget, store_paths, progress)
+        )
+        return self._rendering(self.shares.gathered(sums), paths, budget, medium, launches)
 
     def _render_in_parts(
         self, at_once: int, extinction: Any, samples: int, progress: Callable[[int], None] | None, **options: Any
@@ -180,72 +167,51 @@ class RadianceOperator:
             found.append(part.render(medium, samples, progress=told, **options))
         return joined(found, self)
 
-    def _walk(
-        self,
-        medium: FilledMedium,
-        samples: Samples,
-        budget: Budget,
-        store_paths: bool,
-        progress: Callable[[int], None] | None,
-    ) -> tuple[np.ndarray, list[tuple[int, Any]] | None]:
-        """The sums of this rank's pixels, and the paths that are kept, by launches."""
-        count = len(self._shares)
-        host = np.empty(count, STRUCTS["PixelSums"])
-        launches: list[tuple[int, Any]] = []
-        if not count:
-            return host, launches if store_paths else None
-        sums = self.device.buffer(host.nbytes)
-        self.device.clear(sums)
-        done = 0
-        while done < samples.count:
-            first = samples.first + done
-            number = int(np.clip(self._pace.work_items // count, 1, samples.count - done))
-            paths = self.device.empty(number * count, np.float32)
-            self._pace.launch(
-                self._render_paths,
-                number * count,
-                **self._arguments(medium, first, number * count, samples.seed, samples.stream),
-                path_radiance=paths,
-                budget=budget.data,
-            )
-            for part in parts(number, _LONGEST_SUM):
-                self.device.launch(self._sum_paths, count, paths, count, first, *part, sums)
-            if store_paths:
-                launches.append((first, kept(self.device, paths, launches)))
-            done += number
-            if progress:
-                progress(done)
-        self.device.read(sums, host)
-        return host, launches if store_paths else None
-
     @device_errors("putting the extinction on the device")
-    def on_device(self, extinction: Any) -> FilledMedium:
+    def on_device(self, extinction: Any) -> Medium:
         """An extinction for several renders that keep no paths: looked through and put on the device once.
 
         Raises DataError as `render`.
         """
-        return self._medium.filled(extinction, skips_empty=True)
+        return self._device_scene.medium(extinction, skips_empty=True)
 
     def of_pixels(self, pixels: np.ndarray) -> RadianceOperator:
         """The same operator for other pixels; see the class. DataError if one is not there."""
-        other = copy.copy(self)
-        other._take(checked_pixels(self.views, pixels))
-        return other
+        return self._with(self._pixels.of_pixels(pixels))
 
     def of_views(self, views: Sequence[View]) -> RadianceOperator:
         """The same operator for other views that have the same pixels; see the class."""
+        return self._with(self._pixels.of_views(views))
+
+    def _with(self, pixels: DevicePixels) -> RadianceOperator:
         other = copy.copy(self)
-        other.views = tuple(views)
-        other._views = self.device.constant(view_structs(other.views, self.scene.grid, self.scene.top))
-        other._rays = self.device.constant(ray_array(other.views, self.scene))
+        other._pixels = pixels
         return other
 
-    def _take(self, pixels: np.ndarray) -> None:
-        """Takes pixels, and deals them out among the ranks in blocks, of which Jacobians have sums (blocks.py)."""
-        self.pixels = np.ascontiguousarray(pixels, np.uint32)
-        alone = self.ranks.size == 1
-        self._shares = self.ranks.dealt(self.pixels if alone else pixel_blocks(self.views, self.pixels).of)
-        self._pixels = self.device.constant(self._shares.taken(self.pixels))
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The sensors."""
+        return self._pixels.views
+
+    @property
+    def pixels(self) -> np.ndarray:
+        """The pixels (view, row * width + column), uint32, shape (pixels, 2)."""
+        return self._pixels.listed
+
+    @property
+    def mask(self) -> np.ndarray | None:
+        """Where there may be droplets, bool, shape of the grid; None: everywhere."""
+        return self._device_scene.mask
+
+    @property
+    def features(self) -> tuple[str, ...]:
+        """Macros of kernels that walk through this scene."""
+        return self._device_scene.features
+
+    @property
+    def scene_struct(self) -> Any:
+        """The kernels' Scene."""
+        return self._device_scene.struct
 
     @property
     def ranks(self) -> Ranks:
@@ -255,35 +221,19 @@ class RadianceOperator:
     @property
     def shares(self) -> Shares:
         """Which rank has which of the pixels."""
-        return self._shares
-
-    def _arguments(self, medium: FilledMedium, first: int, paths: int, seed: int, stream: int) -> dict[str, Any]:
-        """What every kernel that walks the pixels' paths takes, by name."""
-        return medium.arguments | {
-            "views": self._views,
-            "rays": self._rays,
-            "pixels": self._pixels,
-            "pixel_count": len(self._shares),
-            "first_sample": first,
-            "path_count": paths,
-            "seed": seed,
-            "stream": stream,
-        }
+        return self._pixels.shares
 
     def _rendering(
         self,
-        host: np.ndarray,
+        sums: np.ndarray,
         samples: Samples,
         budget: Budget,
-        medium: FilledMedium,
+        medium: Medium,
         launches: list[tuple[int, Any]] | None,
     ) -> Rendering:
         """What all ranks' sums are radiances of."""
         irradiance, count = self.scene.sun.irradiance, samples.count
-        halves = irradiance * (host["half_sum"].astype(float) + host["half_low"]) / (count // 2)
-        mean = halves.mean(axis=1)
-        square = irradiance**2 * (host["square_sum"].astype(float) + host["square_low"]) / count
-        standard_error = np.sqrt(np.maximum(square - mean**2, 0.0) / (count - 1))
+        mean, standard_error, halves = statistics(sums, count, irradiance)
         wrong = ~np.isfinite(standard_error)
         if wrong.any():
             view, pixel = self.pixels[np.argmax(wrong)]
@@ -295,8 +245,9 @@ class RadianceOperator:
             mean, standard_error, halves, count, samples.seed, samples.stream, audit, medium, launches, self
         )
 
+    @renamed_arguments(filling_limit="virtual_limit")
     @device_errors("the gradient")
-    def gradient(self, rendering: Rendering, adjoint: np.ndarray, filling_limit: float | None = None) -> Any:
+    def gradient(self, rendering: Rendering, adjoint: np.ndarray, virtual_limit: float | None = None) -> Any:
         """The gradient of a cost with respect to extinction, by replay of a rendering's paths.
 
         It is unbiased in every voxel of the mask, those of extinction 0 included; outside of the mask it is 0.
@@ -307,7 +258,7 @@ class RadianceOperator:
         adjoint : derivative of the cost with respect to `rendering.halves`, shape (pixels, 2).
             For an unbiased gradient the entry of one half must not depend on that half's own
             paths (see `objective.crossed_halves`).
-        filling_limit : extinction, km^-1, up to which voxels are filled with virtual droplets, see
+        virtual_limit : extinction, km^-1, up to which virtual droplets add to a voxel's own, see
             kernels/replay.cl. It changes noise and time, not the mean, if it is above 0: without them voxels of
             extinction 0 are biased. By default such that a path meets a tenth of one
 
@@ -318,7 +269,7 @@ class RadianceOperator:
         Raises
         ------
         DataError : the rendering did not keep its paths; adjoint has another shape, or values beyond single precision;
-            filling_limit is negative
+            virtual_limit is negative
         AuditError : paths bring other radiances than before
         TransportError : a voxel's sum has overflowed
         """
@@ -327,19 +278,19 @@ class RadianceOperator:
         adjoint = np.asarray(adjoint)
         if adjoint.shape != (len(self.pixels), 2) or adjoint.dtype.kind not in "iuf":
             raise DataError(f"adjoint is {adjoint.dtype} {adjoint.shape}: it must be numbers ({len(self.pixels)}, 2)")
-        if filling_limit is not None and not 0 <= filling_limit < np.inf:
-            raise DataError(f"filling_limit is {filling_limit}: it must be finite and at least 0 km^-1")
-        deposit = partial(self._replay, rendering, filling_limit)
-        return deposited(self.scene, self.device, self._shares, adjoint, rendering.samples, deposit)[0]
+        if virtual_limit is not None and not 0 <= virtual_limit < np.inf:
+            raise DataError(f"virtual_limit is {virtual_limit}: it must be finite and at least 0 km^-1")
+        deposit = partial(self._replay, rendering, virtual_limit)
+        return deposited(self.scene, self.device, self.shares, adjoint, rendering.samples, deposit)[0]
 
     def _replay(
-        self, rendering: Rendering, filling_limit: float | None, factors: DeviceArray, total: DeviceArray
+        self, rendering: Rendering, virtual_limit: float | None, factors: DeviceArray, total: DeviceArray
     ) -> None:
         """Adds what this rank's paths deposit; see `deposited`."""
         extinction = rendering._medium.extinction.get()
-        if filling_limit is None:
-            filling_limit = self._virtual_collisions.limit(extinction, self._few_paths(rendering))
-        virtual = self._virtual_collisions.extinction(extinction, filling_limit)
+        if virtual_limit is None:
+            virtual_limit = self._virtual_collisions.limit(extinction, self._few_paths(rendering))
+        virtual = self._virtual_collisions.extinction(extinction, virtual_limit)
         for launch in self.stored_launches(rendering):
             self._virtual_collisions.run(launch, adjoint=factors, virtual_extinction=virtual, gradient=total)
 
@@ -347,10 +298,9 @@ class RadianceOperator:
         """About `FEW_PATHS` of a rendering, of pixels all over the images; every rank has all of them."""
         count = len(self.pixels)
         evenly = np.unique(np.linspace(0, count - 1, min(count, FEW_PATHS)).astype(int))
-        chosen = self.of_pixels(self.pixels[evenly])
         paths = len(evenly) * -(-FEW_PATHS // len(evenly))
-        walk = chosen._arguments(rendering._medium, 0, paths, rendering.seed, rendering.stream)
-        walk |= {"pixels": self.device.constant(chosen.pixels), "pixel_count": len(chosen.pixels)}
+        pixels = self.pixels[evenly]
+        walk = self._pixels.paths(rendering._medium, 0, paths, rendering.seed, rendering.stream, pixels)
         return Launch(paths, self._pace, walk)
 
     def stored_launches(self, rendering: Rendering) -> Iterator[StoredLaunch]:
@@ -363,14 +313,13 @@ class RadianceOperator:
         """
         if rendering._launches is None:
             raise DataError("this rendering kept no paths: render with store_paths=True")
+        pixels: DevicePixels = rendering._operator._pixels
         astray = self.device.zeros(1, np.uint32)
         for first, stored_paths in rendering._launches:
             paths = on_device(self.device, stored_paths)
-            walk = rendering._operator._arguments(
-                rendering._medium, first, paths.size, rendering.seed, rendering.stream
-            )
+            walk = pixels.paths(rendering._medium, first, paths.size, rendering.seed, rendering.stream)
             stored = {"path_radiance": paths, "astray": astray}
-            yield StoredLaunch(paths.size, self._pace, walk, paths.size // len(self._shares), stored)
+            yield StoredLaunch(paths.size, self._pace, walk, paths.size // len(self.shares), stored)
         check_replays(int(astray.get()[0]), rendering.samples * len(self.pixels))
 
     def images(self, values: np.ndarray) -> list[np.ndarray]:
@@ -386,26 +335,3 @@ class RadianceOperator:
             chosen = self.pixels[:, 0] == index
             image[self.pixels[chosen, 1]] = values[chosen]
         return [image.reshape(view.pixels[1], view.pixels[0]) for image, view in zip(images, self.views)]
-
-
-def footprint(voxels: int, pixels: int, stored_paths: int = 0) -> Footprint:
-    """What a `RadianceOperator` takes to render a grid: counted over arrays that live at the same time, rounded up."""
-    device = _BYTES_PER_VOXEL * voxels + _BYTES_PER_PIXEL * pixels
-    largest = max(_BYTES_PER_VOXEL // 2 * voxels, _BYTES_PER_PIXEL // 2 * pixels)
-    return Footprint(device, largest, _HOST_BYTES_PER_PIXEL * pixels, _BYTES_PER_PATH * stored_paths)
-
-
-def _require_memory(device: Device, shape: tuple[int, ...], pixels: int) -> None:
-    """DataError or DeviceError if there is not memory enough, or there is more than kernels count."""
-    what = f"rendering {pixels} pixels of {shape_text(shape)} voxels"
-    require_countable(voxels_of(shape), pixels, what)
-    voxels = voxels_of(shape)
-    at_once = max(pixels_at_once(device, voxels, pixels), min(pixels, _FEWEST_AT_ONCE))
-    later = pixels - at_once
-    needed = footprint(voxels, at_once) + Footprint(BYTES_OF_LIST * later, 0.0, _HOST_BYTES_PER_PIXEL * later)
-    needed.require(device, what, "choose fewer pixels or voxels")
-
-
-def parts(count: int, most: int) -> list[tuple[int, int]]:
-    """The numbers from 0 to below `count` in parts (begin, end) of at most `most`."""
-    return [(begin, min(begin + most, count)) for begin in range(0, count, most)]

@@ -13,7 +13,7 @@ from cloudtomo_cl.renamed import renamed_attributes
 from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.transport.audit import Audit, combined
-from cloudtomo_cl.transport.medium import FilledMedium
+from cloudtomo_cl.transport.medium import Medium
 
 
 @renamed_attributes(iteration="stream")
@@ -40,7 +40,7 @@ class Rendering:
     seed: int
     stream: int
     audit: Audit
-    _medium: FilledMedium = field(repr=False)
+    _medium: Medium = field(repr=False)
     _launches: list[tuple[int, Any]] | None = field(repr=False, default=None)
     _operator: Any = field(repr=False, default=None)
 

@@ -11,7 +11,7 @@ from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
 from cloudtomo_cl.scene.scene import Cloud
 from cloudtomo_cl.transport.cells import Cells, depth_within, largest_beside
 from cloudtomo_cl.transport.directions import BINS, FEATURES, scattering_matrix, solid_angles
-from cloudtomo_cl.transport.medium import FilledMedium
+from cloudtomo_cl.transport.medium import Medium
 from cloudtomo_cl.transport.photons import Photons
 from cloudtomo_cl.transport.radiance import RadianceOperator
 from cloudtomo_cl.transport.radiance_table import SUMMED_PARTS, RadianceTable, require_room
@@ -119,7 +119,7 @@ class RadianceTableBuilder:
             device.write(sums.data, part, offset)
 
     def _tabulated(
-        self, medium: FilledMedium, divided: Cells, places: DeviceArray, sums: DeviceArray, unit: float
+        self, medium: Medium, divided: Cells, places: DeviceArray, sums: DeviceArray, unit: float
     ) -> RadianceTable:
         """The table of all ranks' sums, in their place, and the direct sunlight in its cells."""
         device, scene = self._operator.device, self._operator.scene

@@ -9,8 +9,8 @@ import numpy as np
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.fixed_point import require_sums
 from cloudtomo_cl.opencl.layout import STRUCTS
+from cloudtomo_cl.transport.device_scene import DeviceScene
 from cloudtomo_cl.transport.launches import Launch, StoredLaunch
-from cloudtomo_cl.transport.medium import Medium
 
 # Virtual collisions per path. The mean of gradients does not depend on it, their noise and time do: more make cloudy
 # voxels noisier, fewer empty ones (docs/measurements/derivatives.md).
@@ -27,15 +27,15 @@ class VirtualCollisions:
 
     Parameters
     ----------
-    medium : where they fly
+    scene : where they fly
     """
 
-    def __init__(self, medium: Medium) -> None:
-        self._medium, self._device = medium, medium.device
+    def __init__(self, scene: DeviceScene) -> None:
+        self._device_scene, self._device = scene, scene.device
 
     def _kernel(self, file: str, name: str) -> Any:
         """One of its kernels: most operators never replay a path, and need not have them."""
-        return self._device.kernel(file, name, self._medium.features)
+        return self._device.kernel(file, name, self._device_scene.features)
 
     def run(self, launch: StoredLaunch, **arguments: Any) -> None:
         """Replays the paths of a launch, and walks those from their virtual collisions.
@@ -57,17 +57,17 @@ class VirtualCollisions:
                 launch.walk(kernel, found, **arguments, virtual_collisions=collisions, count=found)
 
     def limit(self, extinction: np.ndarray, few: Launch) -> float:
-        """The extinction up to which voxels are filled for a path to meet a tenth of a virtual droplet, km^-1.
+        """The extinction up to which virtual droplets add to a voxel's own for a path to meet a tenth of one, km^-1.
 
         extinction : of the cloud, km^-1, shape of the grid
         few : about `FEW_PATHS` paths, by whose lengths it is set
         """
-        mask, lengths = self._medium.mask, self._lengths(few)
+        mask, lengths = self._device_scene.mask, self._lengths(few)
         if mask is not None:
             lengths = lengths * mask
-        limit = filling_limit(extinction, lengths, _COLLISIONS_PER_PATH)
+        limit = virtual_limit(extinction, lengths, _COLLISIONS_PER_PATH)
         if limit == 0.0:  # these paths have met nothing of the mask; the others may
-            limit = _COLLISIONS_PER_PATH / float(np.linalg.norm(self._medium.scene.grid.extent))
+            limit = _COLLISIONS_PER_PATH / float(np.linalg.norm(self._device_scene.scene.grid.extent))
         return limit
 
     def extinction(self, extinction: np.ndarray, limit: float) -> DeviceArray:
@@ -76,13 +76,13 @@ class VirtualCollisions:
         Together with the cloud's droplets, km^-1, shape of the grid, it is at least `limit` (km^-1) in every voxel.
         """
         virtual = np.maximum(np.float32(limit) - extinction, np.float32(0))
-        if self._medium.mask is not None:
-            virtual[~self._medium.mask] = -1
+        if self._device_scene.mask is not None:
+            virtual[~self._device_scene.mask] = -1
         return self._device.array(virtual)
 
     def _lengths(self, few: Launch) -> np.ndarray:
         """km that a path flies through every voxel, on average over some paths of other random numbers."""
-        grid = self._medium.scene.grid
+        grid = self._device_scene.scene.grid
         lengths = self._device.zeros(grid.shape, np.int64)
         unit = 1.0 / (_UNIT * min(grid.spacing))
         few.walk(self._kernel("lengths", "path_lengths"), few.paths, unit=unit, lengths=lengths)
@@ -91,8 +91,8 @@ class VirtualCollisions:
         return sums / (unit * few.paths)
 
 
-def filling_limit(extinction: np.ndarray, lengths: np.ndarray, collisions: float) -> float:
-    """The extinction, km^-1, to which voxels must be filled up for so many collisions with what fills them.
+def virtual_limit(extinction: np.ndarray, lengths: np.ndarray, collisions: float) -> float:
+    """The extinction, km^-1, up to which virtual droplets must add to a voxel's own for so many collisions with them.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def filling_limit(extinction: np.ndarray, lengths: np.ndarray, collisions: float
     beta, length = extinction[crossed].astype(float), lengths[crossed].astype(float)
     order = np.argsort(beta, kind="stable")
     beta, length = beta[order], length[order]
-    # With the n thinnest filled up to a limit there are limit x their length - their depth collisions.
+    # With the n thinnest brought to a limit there are limit x their length - their depth collisions.
     total, depth = np.cumsum(length), np.cumsum(beta * length)
     limits = (collisions + depth) / total
     above = np.append(beta[1:], np.inf)

@@ -19,13 +19,14 @@
  *   void on_termination(Termination termination, float throughput, tally)
  *       the path ends with the given throughput
  *
- * radiance.h defines the first four for paths from cameras, flux.cl all for photons from the sun; unbudgeted.h
- * has empty ones of the last three. Radiances inside a path are for a sun of irradiance 1; the host scales them.
+ * radiance.h defines the first four for paths from cameras; budgeted.h has the last two for the audit, unbudgeted.h empty
+ * ones of the last three. Radiances inside a path are for a sun of irradiance 1; the host scales them.
  */
 #ifndef CLOUDTOMO_PATH_H
 #define CLOUDTOMO_PATH_H
 
 #include "walk/event.h"
+#include "walk/turns.h"
 
 /* Paths of smaller throughput go on with the probability throughput / PATH_ROULETTE_THROUGHPUT. */
 #define PATH_ROULETTE_THROUGHPUT 0.1f
@@ -102,6 +103,17 @@ inline bool walk_event(const Medium *medium, KEPT Interaction *at, const KEPT Sa
     keep_vector(&at->ray.direction, kept_vector(&at->new_direction));
     ++at->event;
     return true;
+}
+
+/* Walks a path from an interaction as far as a work item does before it looks for another path (turns.h): to its end, or
+ * to the next interaction. Returns false if the path has ended. */
+inline bool walk_turn(const Medium *medium, KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally)
+{
+    bool walks;
+    do
+        walks = walk_event(medium, at, key, tally);
+    while (walks && !REGENERATES);
+    return walks;
 }
 
 /* Walks a path from an interaction to its end. */

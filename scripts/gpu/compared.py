@@ -54,7 +54,7 @@ def computed(name: str) -> dict[str, np.ndarray]:
         arrays["radiances of paths"] = np.concatenate([paths.get() for _, paths in rendering._launches])
         arrays["image"] = rendering.mean
         adjoint = np.linspace(0.5, 1.5, 2 * len(operator.pixels)).reshape(-1, 2)
-        arrays["gradient"] = operator.gradient(rendering, adjoint, filling_limit=0.5).get()
+        arrays["gradient"] = operator.gradient(rendering, adjoint, virtual_limit=0.5).get()
         arrays |= {"sums of the budget": sums["budget"], "sums of the gradient": sums["3 axes"]}
     if scene.boundary.horizontal == "periodic" or scene.surface.albedo == 0:
         with integer_sums() as sums:

@@ -16,8 +16,9 @@ from pathlib import Path
 
 import pyopencl
 
-from cloudtomo_cl.opencl.device import choose_device, kernels_folder
+from cloudtomo_cl.opencl.devices import choose_device
 from cloudtomo_cl.opencl.dialect import GROUP_SIZE_ON_NVIDIA, WORK_GROUP_SIZE
+from cloudtomo_cl.opencl.programs import kernels_folder
 from cloudtomo_cl.transport.directions import FEATURES as TABLE_FEATURES
 
 NVIDIA, AMD = ("sm_80", "sm_90"), ("gfx90a", "gfx1100")

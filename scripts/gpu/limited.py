@@ -14,7 +14,8 @@ import numpy as np
 from benchmarks.scenes import Case, generated, scene_c
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.opencl.device import Device, choose_device
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.devices import choose_device
 from gpu.rows import Row, failed
 
 _PART = "registers"
@@ -36,7 +37,7 @@ def used(device: Device) -> str:
     import pyopencl
 
     said = ""
-    for program in device._programs.values():
+    for program in device._programs:
         log = program.get_build_info(device.opencl, pyopencl.program_build_info.LOG)
         for name, rest in re.findall(r"entry function '(\w+)'(.*?Used \d+ registers)", log, flags=re.DOTALL):
             spills = re.search(r"(\d+) bytes spill stores, (\d+) bytes spill loads", rest)
@@ -68,11 +69,11 @@ def speeds(case: Case, device: Device) -> Iterator[tuple[str, float]]:
     """Paths a second by the clock, of renders and of gradients by replay."""
     operator = ct.RadianceOperator(case.scene, (case.view,), device, mask=case.extinction > 0)
     adjoint = np.full((len(operator.pixels), 2), 0.5)
-    field, samples, took = operator.on_device(case.extinction), 64, 0.0
+    medium, samples, took = operator.on_device(case.extinction), 64, 0.0
     while took < _SECONDS and samples < 1 << 20:
         samples *= 2
-        took = clocked(lambda n=samples: operator.render(field, n, n))
-    taken = [clocked(lambda n=seed: operator.render(field, samples, n)) for seed in range(_REPEATS)]
+        took = clocked(lambda n=samples: operator.render(medium, n, n))
+    taken = [clocked(lambda n=seed: operator.render(medium, samples, n)) for seed in range(_REPEATS)]
     yield "render", samples * len(operator.pixels) / float(np.median(taken))
     samples = min(samples, _MOST_STORED)
     rendering = operator.render(case.extinction, samples, 1, store_paths=True)

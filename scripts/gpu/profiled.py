@@ -14,7 +14,8 @@ import pyopencl as cl
 from benchmarks.scenes import Case, generated, scene_c
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.opencl.device import Device, choose_device
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.devices import choose_device
 from cloudtomo_cl.opencl.parameters import Kernel
 from cloudtomo_cl.opencl.recording import Recorded
 from gpu.rows import Row

@@ -12,7 +12,7 @@ from benchmarks.scenes import Case, generated, scene_c
 from benchmarks.timing import Disagreement, require_agreement
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.opencl.device import choose_device
+from cloudtomo_cl.opencl.devices import choose_device
 from gpu.rows import Row, failed
 
 _PART = "mitsuba"

@@ -54,7 +54,7 @@ class Works:
         self.plain = ct.RadianceOperator(case.scene, (case.view,))
         self.masked = ct.RadianceOperator(case.scene, (case.view,), mask=case.extinction > 0)
         self.adjoint = np.full((len(self.plain.pixels), 2), 0.5)
-        self.field = self.plain.on_device(case.extinction)
+        self.medium = self.plain.on_device(case.extinction)
         # Fluxes with open sides have no surface.
         self.fluxes_of = ct.FluxOperator(replace(case.scene, surface=ct.Surface(0.0)))
         self.sums: JacobianAverage | None = None
@@ -73,7 +73,7 @@ class Works:
 
     def render(self, samples: int) -> float:
         self.seed += 1
-        return self._timed(lambda: self.plain.render(self.field, samples, self.seed))
+        return self._timed(lambda: self.plain.render(self.medium, samples, self.seed))
 
     def replay(self, samples: int) -> float:
         rendering = self._stored(samples)

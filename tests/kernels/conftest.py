@@ -6,7 +6,7 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from cloudtomo_cl.opencl.device import choose_device
+from cloudtomo_cl.opencl.devices import choose_device
 
 SOURCE = Path(__file__).with_name("probes.cl").read_text()
 

@@ -5,7 +5,7 @@ import pytest
 
 from cloudtomo_cl.errors import TransportError
 from cloudtomo_cl.opencl.fixed_point import first_overflow, require_sums
-from cloudtomo_cl.transport.radiance import parts
+from cloudtomo_cl.transport.path_sums import parts
 
 ADDS, SUMS = 98_000, 7  # a multiple
 

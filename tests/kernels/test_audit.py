@@ -59,7 +59,7 @@ def test_a_kernel_that_loses_weight_is_caught(device, monkeypatch):
         RadianceOperator(scene, [ABOVE], device).render(extinction_of(scene), 100)
 
 
-@pytest.mark.parametrize("walk", ["replay", "field", "jacobian"])
+@pytest.mark.parametrize("walk", ["replay", "table", "jacobian"])
 def test_paths_that_bring_something_else_when_walked_again_are_caught(device, walk):
     """As on a device that ends loops before their time: here the kept radiances are others."""
     scene = SCENES["forward peak"]
@@ -67,7 +67,7 @@ def test_paths_that_bring_something_else_when_walked_again_are_caught(device, wa
     rendering = operator.render(extinction_of(scene), 100, store_paths=True)
     walks = {
         "replay": lambda: operator.gradient(rendering, np.ones((9, 2))),
-        "field": lambda: TableGradient(operator).gradient(rendering, np.ones((9, 2))),
+        "table": lambda: TableGradient(operator).gradient(rendering, np.ones((9, 2))),
         "jacobian": lambda: JacobianAverage(operator).add(rendering, 1.0),
     }
     walks[walk]()

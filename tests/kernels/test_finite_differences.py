@@ -1,7 +1,7 @@
 """Every gradient against finite differences, of one cloud on coarse, middle and fine voxels.
 
 Both sides of a difference have the same random numbers. The replayed gradient is unbiased: what it differs
-by must be noise. Those by the field of radiance are biased by the cells of its table
+by must be noise. Those by the radiance table are biased by its cells
 (docs/measurements/derivatives.md): how much is stated with each test.
 """
 
@@ -12,7 +12,8 @@ import pyopencl.array
 import pytest
 from scipy import stats
 
-from cloudtomo_cl.inversion.priors import Prior, PriorOperator
+from cloudtomo_cl.inversion.priors import Prior
+from cloudtomo_cl.inversion.smoothness import PriorOperator
 from cloudtomo_cl.scene.grid import Grid, resample
 from cloudtomo_cl.scene.phase import HenyeyGreenstein
 from cloudtomo_cl.scene.scene import Cloud, Scene, Sun, Surface

@@ -43,7 +43,7 @@ def compare_with_reference(scene, random, operator, **options):
             for contribution in contributions:
                 expected += adjoint[pixel, sample % 2] * contribution.derivative / (SAMPLES // 2)
     # Without virtual collisions, of which tests/kernels/test_virtual_collisions.py is.
-    found = operator.gradient(rendering, adjoint, filling_limit=0).get()
+    found = operator.gradient(rendering, adjoint, virtual_limit=0).get()
     assert np.abs(expected).max() > 0
     np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
 

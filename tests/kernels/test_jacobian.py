@@ -93,7 +93,7 @@ def test_no_derivative_is_lost(extinction, device, horizontal):
     operator, rendering, sums = prepared(scene, extinction, device)
     table, pixels = TableGradient(operator), len(operator.pixels)
     gradient, _ = table.gradient(rendering, np.full((pixels, 2), 0.5))
-    blocks = sums.structure.voxel_blocks
+    blocks = sums.structure.far.voxel_blocks
     expected = np.bincount(blocks.of, gradient.get()[operator.mask])
     found = np.bincount(blocks.of, sums.jacobian.T @ np.ones(pixels))
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max())

@@ -71,7 +71,7 @@ def test_paths_do_not_depend_on_how_launches_are_cut(device):
 def test_sums_do_not_depend_on_how_they_are_cut(device, monkeypatch):
     operator = RadianceOperator(SCENES["forward peak"], [ABOVE], device)
     first = operator.render(extinction_of(operator.scene), 40)
-    monkeypatch.setattr("cloudtomo_cl.transport.radiance._LONGEST_SUM", 7)
+    monkeypatch.setattr("cloudtomo_cl.transport.path_sums._LONGEST_SUM", 7)
     second = operator.render(extinction_of(operator.scene), 40)
     np.testing.assert_array_equal(first.halves, second.halves)
     np.testing.assert_array_equal(first.standard_error, second.standard_error)

@@ -13,7 +13,7 @@ from cloudtomo_cl.reference import scattering as reference_scattering
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.phase import DoubleHenyeyGreenstein, HenyeyGreenstein
 from cloudtomo_cl.scene.scene import Cloud, Scene, Sun
-from cloudtomo_cl.transport.medium import profiles
+from cloudtomo_cl.transport.device_scene import profiles
 
 GAUSS_LEGENDRE = np.polynomial.legendre.leggauss(200)
 ASYMMETRIES = [-0.5, 0.0, 1e-4, 0.3, 0.85, 0.99]

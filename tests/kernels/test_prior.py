@@ -6,7 +6,8 @@ import numpy as np
 import pyopencl.array as cl_array
 import pytest
 
-from cloudtomo_cl.inversion.priors import Prior, PriorOperator
+from cloudtomo_cl.inversion.priors import Prior
+from cloudtomo_cl.inversion.smoothness import PriorOperator
 from cloudtomo_cl.reference.prior import prior_value_and_gradient
 
 SHAPES = [(5, 4, 6), (3, 1, 2), (1, 1, 1), (2, 7, 1)]

@@ -50,12 +50,12 @@ def extinction():
 
 
 def gradients(operator, values, samples, iterations, adjoint):
-    """Mean of the gradients by the field."""
-    field = TableGradient(operator)
+    """Mean of the gradients by the radiance table."""
+    table = TableGradient(operator)
     found = []
     for iteration in range(iterations):
         rendering = operator.render(values, samples, 3, iteration + 1, store_paths=True)
-        found.append(field.gradient(rendering, adjoint)[0].get())
+        found.append(table.gradient(rendering, adjoint)[0].get())
     return np.mean(found, axis=0)
 
 
@@ -94,12 +94,12 @@ def test_the_tangent_is_what_images_change_by(device):
     """Along a growth of the whole cloud by 2 %, pooled over the pixels: within 15 %."""
     scene, values = SCENES["overhead sun"], extinction()
     operator = RadianceOperator(scene, VIEWS, device, mask=values > 0)
-    field, change = TableGradient(operator), 0.02 * values
+    table, change = TableGradient(operator), 0.02 * values
     on_device = pyopencl.array.to_device(device.queue, change)
     tangents = []
     for iteration in range(4):
         rendering = operator.render(values, 2000, 3, iteration + 1, store_paths=True)
-        tangents.append(field.gradient(rendering, np.zeros((72, 2)), on_device)[1].sum())
+        tangents.append(table.gradient(rendering, np.zeros((72, 2)), on_device)[1].sum())
     more, less = (operator.render(v, 200_000, 5).mean.sum() for v in (values + change, values - change))
     assert np.mean(tangents) == pytest.approx((more - less) / 2, rel=0.15)
 

@@ -7,8 +7,8 @@ from scenes import ABOVE, CAMERA, PERIODIC, RAYS, kernel_paths, optics
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import Boundary, Scene, Sun, Surface
-from cloudtomo_cl.transport import medium
-from cloudtomo_cl.transport.medium import empty_distances, empty_shift, occupied_blocks
+from cloudtomo_cl.transport import empty_blocks
+from cloudtomo_cl.transport.empty_blocks import empty_distances, empty_shift, occupied_blocks
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
 GRID = Grid(shape=(9, 12, 9), spacing=(0.034, 0.027, 0.04), origin=(0.5, -0.2, 0.2))
@@ -77,7 +77,7 @@ def test_paths_are_the_same_with_and_without_blocks(device, random, monkeypatch,
     extinction[23, 0, 20] = 60
     views = [ABOVE, CAMERA, RAYS]
     walking = RadianceOperator(scene, views, device).render(extinction, 40, store_paths=True)
-    monkeypatch.setattr(medium, "_MOST_BLOCKS", 6)
+    monkeypatch.setattr(empty_blocks, "_MOST_BLOCKS", 6)
     assert empty_shift(scene) == 2
     skipping = RadianceOperator(scene, views, device, mask=extinction > 0).render(extinction, 40, store_paths=True)
     found, expected = kernel_paths(skipping), kernel_paths(walking)
@@ -105,7 +105,7 @@ def test_gradients_inside_a_mask_are_the_same(device, sparse):
     mask, gradients = sparse > 0, []
     for operator in (RadianceOperator(scene, [CAMERA], device), RadianceOperator(scene, [CAMERA], device, mask=mask)):
         rendering = operator.render(sparse, 200, store_paths=True)
-        gradients.append(operator.gradient(rendering, np.ones((9, 2)), filling_limit=0).get()[mask])
+        gradients.append(operator.gradient(rendering, np.ones((9, 2)), virtual_limit=0).get()[mask])
     np.testing.assert_allclose(gradients[0], gradients[1], atol=0.02 * np.abs(gradients[0]).max())
 
 

@@ -91,7 +91,7 @@ def pieces(request, device):
     kernel = Kernel(cl.Kernel(program, "sum_pieces"), "sum_pieces", PARAMETERS)
     count = SAMPLES * len(operator.pixels)
     sums = pyopencl.array.zeros(device.queue, (count, len(SUMS)), np.float32)
-    device.launch(kernel, count, **operator._arguments(rendering._medium, 0, count, SEED, 0), sums=sums)
+    device.launch(kernel, count, **operator._pixels.paths(rendering._medium, 0, count, SEED, 0), sums=sums)
     return dict(zip(SUMS, sums.get().T)) | {"rendered": rendering._launches[0][1].get()}
 
 

@@ -8,7 +8,7 @@ from scenes import ABOVE, CAMERA, SCENES, extinction_of
 
 import cloudtomo_cl as ct
 from cloudtomo_cl.opencl import device as device_module
-from cloudtomo_cl.opencl.device import choose_device
+from cloudtomo_cl.opencl.devices import choose_device
 from cloudtomo_cl.transport.audit import Budget
 from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 from cloudtomo_cl.transport.table_gradient import TableGradient

@@ -7,7 +7,7 @@ from scenes import ABOVE, ESTIMATORS, SCENES, extinction_of
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.reference.gradient import path_deposits
 from cloudtomo_cl.transport.radiance import RadianceOperator
-from cloudtomo_cl.transport.virtual_collisions import filling_limit
+from cloudtomo_cl.transport.virtual_collisions import virtual_limit
 
 SEED, STREAM, SAMPLES = 8, 2, 4
 LIMIT = 9.0  # km^-1: paths meet one to three virtual droplets
@@ -90,16 +90,16 @@ def test_the_gradient_does_not_depend_on_how_launches_are_cut(device, monkeypatc
 def test_a_limit_that_is_none_is_refused(device, limit):
     operator = RadianceOperator(SCENES["ground"], [ABOVE], device)
     rendering = operator.render(extinction_of(operator.scene), 2, store_paths=True)
-    with pytest.raises(DataError, match="filling_limit"):
+    with pytest.raises(DataError, match="virtual_limit"):
         operator.gradient(rendering, np.ones((9, 2)), limit)
 
 
 @pytest.mark.parametrize("collisions", [0.01, 0.3, 5.0])
-def test_voxels_filled_to_the_limit_are_met_as_often_as_wanted(random, collisions):
+def test_voxels_brought_to_the_limit_are_met_as_often_as_wanted(random, collisions):
     extinction, lengths = random.uniform(0, 30, 50) * (random.random(50) > 0.2), random.random(50) * 0.1
-    limit = filling_limit(extinction, lengths, collisions)
+    limit = virtual_limit(extinction, lengths, collisions)
     assert np.sum(np.maximum(limit - extinction, 0) * lengths) == pytest.approx(collisions)
 
 
 def test_what_no_path_crosses_has_no_limit():
-    assert filling_limit(np.ones(3), np.zeros(3), 0.1) == 0.0
+    assert virtual_limit(np.ones(3), np.zeros(3), 0.1) == 0.0

@@ -7,7 +7,7 @@ from cloudtomo_cl.opencl.layout import scene_struct
 from cloudtomo_cl.reference import flights as reference
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import Air, Boundary, Scene, Sun
-from cloudtomo_cl.transport.medium import profiles
+from cloudtomo_cl.transport.device_scene import profiles
 
 GRID = Grid(shape=(4, 3, 5), spacing=(0.1, 0.07, 0.05), origin=(1.0, -2.0, 0.3))
 MOST = 256

@@ -7,7 +7,7 @@ import pytest
 
 import cloudtomo_cl as ct
 from cloudtomo_cl.errors import DataError, TransportError
-from cloudtomo_cl.inversion.reconstruct import check
+from cloudtomo_cl.inversion.checks import check
 from cloudtomo_cl.inversion.run import Run
 from cloudtomo_cl.inversion.uncertainty import WIDENED
 

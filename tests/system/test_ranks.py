@@ -15,7 +15,7 @@ from ranks_scene import GRID, RING, SCENE, everything, extinction, of_recovery, 
 
 import cloudtomo_cl as ct
 from cloudtomo_cl.commands import cli
-from cloudtomo_cl.inversion.priors import stage_prior
+from cloudtomo_cl.inversion.bound_priors import stage_prior
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.opencl.several import on_devices
 
@@ -147,7 +147,7 @@ def test_a_rank_has_a_part_of_the_patch_prior():
     def tiles(own):
         voxels = Voxels(GRID, np.ones(GRID.shape, bool))
         prior = stage_prior(ct.PatchPrior(), voxels, own).frozen(extinction().reshape(-1).astype(float))
-        return own.ranks.all(prior.inner._quadratic._tiles)
+        return own.ranks.all(len(prior.inner._quadratic._stencil))
 
     (whole,), parts = on_devices([0], tiles), on_devices([0] * 3, tiles)
     assert sum(parts) == whole and max(parts) < 0.5 * whole

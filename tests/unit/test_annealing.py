@@ -8,8 +8,9 @@ from dense_term import DenseTerm
 
 import cloudtomo_cl as ct
 from cloudtomo_cl.inversion.annealing import InnerProblem, annealed
+from cloudtomo_cl.inversion.bound_priors import stage_prior
 from cloudtomo_cl.inversion.noise_units import NoiseUnits
-from cloudtomo_cl.inversion.priors import PatchPrior, Prior, stage_prior
+from cloudtomo_cl.inversion.priors import PatchPrior, Prior
 
 GRID = ct.Grid((9, 9, 9), (0.05, 0.05, 0.05))
 ITERATIONS = 20

@@ -9,8 +9,11 @@ import pytest
 
 import cloudtomo_cl as ct
 from cloudtomo_cl.errors import BuildError, DeviceError, TransportError
-from cloudtomo_cl.opencl.device import Device, choose_device, device_errors, kernels_folder, list_devices
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.devices import choose_device, list_devices
+from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.opencl.layout import STRUCTS
+from cloudtomo_cl.opencl.programs import kernels_folder
 from cloudtomo_cl.transport.samples import Samples
 
 GRID = ct.Grid(shape=(2, 2, 2), spacing=(0.2, 0.2, 0.2))
@@ -171,7 +174,8 @@ def test_no_platform_is_named(monkeypatch):
 @pytest.mark.parametrize("where", ["cloudtomo_cl/kernels", "kernels"], ids=["installed", "checkout"])
 def test_kernels_are_found_in_a_package_and_beside_it(monkeypatch, tmp_path, where):
     (tmp_path / where).mkdir(parents=True)
-    monkeypatch.setattr("cloudtomo_cl.opencl.device.__file__", str(tmp_path / "cloudtomo_cl" / "opencl" / "device.py"))
+    file = tmp_path / "cloudtomo_cl" / "opencl" / "programs.py"
+    monkeypatch.setattr("cloudtomo_cl.opencl.programs.__file__", str(file))
     assert kernels_folder() == tmp_path / where
 
 
@@ -182,7 +186,7 @@ def test_kernels_build_from_a_folder_with_a_space(monkeypatch, tmp_path):
     folder = tmp_path / "a folder with spaces"
     shutil.copytree(kernels_folder(), folder)
     (folder / "only_here.h").write_text("#define ONLY_HERE 1\n")
-    monkeypatch.setattr("cloudtomo_cl.opencl.device.kernels_folder", lambda: folder)
+    monkeypatch.setattr("cloudtomo_cl.opencl.programs.kernels_folder", lambda: folder)
     device = Device(cl.get_platforms()[0].get_devices()[0])
     includes = '#include "only_here.h"\n#include "walk/rng.h"\n'
     device.build(f"{includes}__kernel void f(__global int *a) {{ a[0] = ONLY_HERE; }}")

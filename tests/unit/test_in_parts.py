@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import cloudtomo_cl as ct
-from cloudtomo_cl.opencl.device import choose_device
+from cloudtomo_cl.opencl.devices import choose_device
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 

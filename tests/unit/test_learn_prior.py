@@ -14,11 +14,11 @@ from threadpoolctl import threadpool_limits
 import cloudtomo_cl as ct
 from cloudtomo_cl.commands import prior
 from cloudtomo_cl.commands.cli import main
+from cloudtomo_cl.inversion.bound_priors import stage_prior
 from cloudtomo_cl.inversion.learning import Learning, by_shape
 from cloudtomo_cl.inversion.mixture import Mixture
 from cloudtomo_cl.inversion.mixture_file import SHIPPED, MixtureFile, read_mixtures
 from cloudtomo_cl.inversion.noise_units import NoiseUnits
-from cloudtomo_cl.inversion.priors import stage_prior
 
 SCRIPT = Path(__file__).parents[2] / "scripts/learn_prior.py"
 UNITS = NoiseUnits(1.0, 0.0)

@@ -6,11 +6,12 @@ from dense_term import DenseTerm
 from scipy.optimize import lsq_linear
 
 import cloudtomo_cl as ct
+from cloudtomo_cl.inversion.bound_priors import stage_prior
 from cloudtomo_cl.inversion.conjugate_gradients import minimised
 from cloudtomo_cl.inversion.mass import PAIRS, is_due, share_that_keeps_mass
 from cloudtomo_cl.inversion.noise_units import NoiseUnits
 from cloudtomo_cl.inversion.prior_terms import term_of
-from cloudtomo_cl.inversion.priors import PatchPrior, Prior, stage_prior
+from cloudtomo_cl.inversion.priors import PatchPrior, Prior
 from cloudtomo_cl.inversion.terms import Around
 
 PIXELS = 400

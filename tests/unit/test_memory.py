@@ -13,13 +13,13 @@ from cloudtomo_cl import memory
 from cloudtomo_cl.commands.reconstruction import _say_if_memory_is_tight
 from cloudtomo_cl.errors import DataError, DeviceError
 from cloudtomo_cl.files.extinction import read_extinction
+from cloudtomo_cl.inversion.checks import check_memory
 from cloudtomo_cl.inversion.footprint import stage_footprint
-from cloudtomo_cl.inversion.reconstruct import check_memory
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.parallel.ranks import ALONE
 from cloudtomo_cl.transport.cells import most_cells
-from cloudtomo_cl.transport.radiance import footprint
 from cloudtomo_cl.transport.radiance_table import table_footprint
+from cloudtomo_cl.transport.rendering_memory import footprint
 
 GRID = ct.Grid(shape=(4, 4, 4), spacing=(0.1, 0.1, 0.1))
 SCENE = ct.Scene(grid=GRID, sun=ct.Sun(zenith=30.0))

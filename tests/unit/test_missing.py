@@ -8,7 +8,7 @@ import xarray as xr
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.missing import decode_all
 from cloudtomo_cl.files.netcdf import load_dataset
-from cloudtomo_cl.scene.arrays import filled
+from cloudtomo_cl.scene.arrays import unmasked
 
 VALUES = np.array([1.0, 2.0, 3.0, 4.0])
 
@@ -95,7 +95,7 @@ def test_what_xarray_has_decoded_is_read_the_same(tmp_path):
 
 def test_a_masked_array_is_nan_where_it_is_masked():
     masked = np.ma.masked_array([1, 2, 3], [False, True, False])
-    np.testing.assert_array_equal(filled(masked), [1.0, np.nan, 3.0])
+    np.testing.assert_array_equal(unmasked(masked), [1.0, np.nan, 3.0])
 
 
 def test_a_small_file_that_claims_much_is_refused_at_once(tmp_path):

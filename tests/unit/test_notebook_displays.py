@@ -109,7 +109,7 @@ def test_a_results_dataset_describes_its_variables_as_its_file_does(result, tmp_
     dataset = result.to_dataset()
     folder = RunFolder(tmp_path)
     folder.write_reconstruction(GRID, result.extinction, result.mask, {}, standard_error=result.standard_error)
-    with xr.open_dataset(folder.reconstruction_file) as file:
+    with xr.open_dataset(folder.files.reconstruction) as file:
         for name in ("extinction", "mask", "extinction_standard_error"):
             assert dataset[name].attrs == file[name].attrs and dataset[name].dims == file[name].dims, name
 

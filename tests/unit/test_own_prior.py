@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.inversion.bound_priors import stage_prior
 from cloudtomo_cl.inversion.noise_units import NoiseUnits
-from cloudtomo_cl.inversion.priors import stage_prior
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.scene.grid import Grid
 

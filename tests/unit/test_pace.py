@@ -6,7 +6,7 @@ import pyopencl as cl
 import pytest
 
 from cloudtomo_cl.errors import DeviceError
-from cloudtomo_cl.opencl.device import choose_device
+from cloudtomo_cl.opencl.devices import choose_device
 from cloudtomo_cl.opencl.dialect import group_size, keeps_local
 from cloudtomo_cl.opencl.pace import Pace
 

@@ -11,7 +11,7 @@ import pytest
 
 from cloudtomo_cl.commands import ranks as of_commands
 from cloudtomo_cl.errors import DataError, DeviceError, Interrupted, MissingPackageError, TransportError
-from cloudtomo_cl.opencl.device import choose_device
+from cloudtomo_cl.opencl.devices import choose_device
 from cloudtomo_cl.opencl.fixed_point import summed
 from cloudtomo_cl.opencl.several import on_devices
 from cloudtomo_cl.parallel.launched import launched_rank, launched_ranks

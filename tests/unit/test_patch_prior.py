@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 
 import cloudtomo_cl as ct
+from cloudtomo_cl.inversion.bound_priors import stage_prior
 from cloudtomo_cl.inversion.mixture import Mixture
 from cloudtomo_cl.inversion.mixture_file import MixtureFile, read_mixtures
 from cloudtomo_cl.inversion.mixture_fit import cloudy_patches, fitted_mixture
 from cloudtomo_cl.inversion.noise_units import NoiseUnits
-from cloudtomo_cl.inversion.patch_operator import PatchOperator, PatchQuadratic
+from cloudtomo_cl.inversion.patch_operator import PatchOperator
 from cloudtomo_cl.inversion.patch_prior import StagePatches, voxels_of_cloud
+from cloudtomo_cl.inversion.patch_quadratic import PatchQuadratic
 from cloudtomo_cl.inversion.patches import Patches
-from cloudtomo_cl.inversion.priors import PatchPrior, Prior, stage_prior
+from cloudtomo_cl.inversion.priors import PatchPrior, Prior
 from cloudtomo_cl.inversion.relative_prior import RelativePrior, mean_extinction
 from cloudtomo_cl.inversion.vectors import Vectors
 

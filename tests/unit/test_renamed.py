@@ -19,6 +19,13 @@ def test_old_arguments_of_render(device, argument):
         operator.render(np.zeros(grid.shape), 2, **{argument: 1})
 
 
+def test_old_argument_of_gradients(device):
+    grid = ct.Grid(shape=(2, 2, 2), spacing=(0.1, 0.1, 0.1))
+    operator = ct.RadianceOperator(ct.Scene(grid=grid, sun=ct.Sun(zenith=0.0)), [VIEW], device)
+    with pytest.raises(DataError, match="gradient: the argument filling_limit is now virtual_limit"):
+        operator.gradient(None, np.ones((4, 2)), filling_limit=0.0)
+
+
 def test_old_arguments_of_priors_and_stages():
     with pytest.raises(DataError, match="the argument clear is now sparsity_scale"):
         ct.Prior(clear=3.0)

@@ -45,12 +45,12 @@ def test_settings_come_back(begun):
 
 def test_history_is_on_the_disk_after_each_iteration(begun):
     begun.append(Record(1, 1 / 3, 0.5))
-    assert begun.read_history()["seconds"].tolist() == [0.1, 1 / 3]
+    assert begun.history.read()["seconds"].tolist() == [0.1, 1 / 3]
 
 
 def test_what_is_unknown_is_nan(begun):
     begun.append(Record(1, 0.2, None))
-    assert np.isnan(begun.read_history()["epsilon"]).tolist() == [False, True]
+    assert np.isnan(begun.history.read()["epsilon"]).tolist() == [False, True]
 
 
 def test_reconstruction_comes_back(begun):
@@ -108,7 +108,7 @@ def test_files_of_others_are_neither_removed_nor_replaced(tmp_path):
     folder.append(Record(0, 0.1, None))
     folder.close()
     with pytest.raises(DataError, match="report.html: no run has written it"):
-        folder.claim(folder.report_file)
+        folder.claim(folder.files.report)
     with pytest.raises(DataError, match="no run has written it"):
         RunFolder(tmp_path).check_own()
     assert [file.read_text() for file in files] == ["not ours"] * len(files)
@@ -119,11 +119,11 @@ def test_overwriting_removes_what_a_run_has_written_and_nothing_else(tmp_path):
     first.begin({})
     first.append(Record(0, 0.1, None))
     first.close()
-    ours = [first.report_file, first.figures / "maps.pdf"]
+    ours = [first.files.report, first.files.figures / "maps.pdf"]
     first.claim(*ours)
     for file in ours:
         file.write_text("ours")
-    mine = [first.figures / "mine.png", tmp_path / ".draft.partial", first.figures / "scatter.png"]
+    mine = [first.files.figures / "mine.png", tmp_path / ".draft.partial", first.files.figures / "scatter.png"]
     for file in mine:
         file.write_text("mine")
     second = RunFolder(tmp_path, overwrite=True)
@@ -151,12 +151,12 @@ def test_a_file_is_no_run_folder(tmp_path):
 
 
 def test_damaged_settings_are_named(begun):
-    begun.settings_file.write_text(json.dumps({})[:-1])
+    begun.files.settings.write_text(json.dumps({})[:-1])
     with pytest.raises(DataError, match="settings.json"):
         begun.read_settings()
 
 
 def test_damaged_history_is_named(begun):
-    begun.history_file.write_text("stage,seconds\n1,what\n")
+    begun.files.history.write_text("stage,seconds\n1,what\n")
     with pytest.raises(DataError, match="history.csv"):
-        begun.read_history()
+        begun.history.read()

@@ -7,7 +7,7 @@ from dense_term import DenseTerm
 from cloudtomo_cl.inversion.noise_units import NoiseUnits
 from cloudtomo_cl.inversion.noisy_model import NoisyModel
 from cloudtomo_cl.inversion.prior_terms import hessian_of
-from cloudtomo_cl.inversion.priors import roughness
+from cloudtomo_cl.inversion.smoothness import roughness
 from cloudtomo_cl.inversion.uncertainty import WIDENED, standard_errors, widening
 from cloudtomo_cl.reference.prior import smoothness_matrix
 

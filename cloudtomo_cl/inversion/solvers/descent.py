@@ -16,7 +16,8 @@ from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
 from cloudtomo_cl.inversion.solvers.state import not_saved
 from cloudtomo_cl.messages import answering
-from cloudtomo_cl.opencl.device import Device, device_errors
+from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import Count
 from cloudtomo_cl.scene.scene import NotNegative, Positive

@@ -21,13 +21,13 @@ from cloudtomo_cl.inversion.mass import PAIRS, is_due, share_that_keeps_mass
 from cloudtomo_cl.inversion.noisy_model import NoisyModel
 from cloudtomo_cl.inversion.objective import cost_of_independent, error_beyond_noise, noise_of, variance_of_half
 from cloudtomo_cl.inversion.outliers import Outlier
-from cloudtomo_cl.inversion.patch_operator import stencil_footprint
 from cloudtomo_cl.inversion.prior_terms import hessian_of
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
 from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
 from cloudtomo_cl.inversion.solvers.state import not_saved, of_any_length
 from cloudtomo_cl.inversion.stage_prior import FrozenPrior
+from cloudtomo_cl.inversion.stencil import stencil_footprint
 from cloudtomo_cl.inversion.terms import Around
 from cloudtomo_cl.inversion.uncertainty import LEAST_CURVATURE, beyond_noise, standard_errors, widening
 from cloudtomo_cl.messages import answering
