@@ -128,6 +128,8 @@ class DeviceScene:
 
     def _checked(self, extinction: np.ndarray) -> np.ndarray:
         """An extinction as kernels take it; see `medium`."""
+        if extinction.dtype.kind == "c":
+            raise DataError("extinction is complex: it must be real numbers, km^-1")
         values = np.ascontiguousarray(extinction, np.float32)
         check_extinction(values)
         if self._radius is not None:
