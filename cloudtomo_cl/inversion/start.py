@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloudtomo_cl.inversion.objective import AveragedImage
+from cloudtomo_cl.inversion.objective import AveragedImage, noise_of
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.scene.grid import Grid, mean_chord
 
@@ -12,6 +12,8 @@ from cloudtomo_cl.scene.grid import Grid, mean_chord
 _DEEPEST, _HALVINGS = 1.0, 12
 # Standard errors by which a cost must exceed another one to be higher by more than noise.
 _SIGNIFICANCE = 2.0
+# Cost, as a multiple of that by noise alone, up to which a uniform cloud fits.
+_FITTING = 2.5
 # Stream of random numbers that nothing else uses: renders have 0, iterations count from 1.
 _STREAM = 2**32 - 1
 
@@ -21,7 +23,9 @@ def uniform_start(problem: Problem, mask: np.ndarray, grid: Grid, seed: int) -> 
 
     It is an optical depth of 1 along a mean chord of the box around these voxels, halved as long as images of a uniform
     cloud then fit better. If the true cloud is much thinner, or thin over bright ground where it makes little
-    difference, the derivatives at a deeper start would say that there is no cloud.
+    difference, the derivatives at a deeper start would say that there is no cloud. But images that are fitted best by
+    next to nothing, and not by that either, say nothing of the depth: their radiances are too low everywhere, for
+    instance by a wrong dark level. Then it is 1.
 
     Parameters
     ----------
@@ -32,7 +36,7 @@ def uniform_start(problem: Problem, mask: np.ndarray, grid: Grid, seed: int) -> 
     """
     voxels = np.argwhere(mask)
     edges = (voxels.max(axis=0) - voxels.min(axis=0) + 1) * grid.spacing
-    extinction = best = _DEEPEST / mean_chord(edges)
+    deepest = extinction = best = _DEEPEST / mean_chord(edges)
     least, error = _cost(problem, extinction, seed)
     for _ in range(_HALVINGS):
         extinction /= 2
@@ -41,6 +45,9 @@ def uniform_start(problem: Problem, mask: np.ndarray, grid: Grid, seed: int) -> 
             break
         if cost < least:
             best, least, error = extinction, cost, other
+    noise = noise_of(problem.active.variance, problem.weights)
+    if best == deepest / 2**_HALVINGS and least - _SIGNIFICANCE * error > _FITTING * noise:
+        return float(deepest)
     return float(best)
 
 

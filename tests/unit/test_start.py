@@ -1,5 +1,7 @@
 """What a recovery begins with: as deep as the images say, and no cloud that vanishes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -50,6 +52,17 @@ def test_a_cloud_that_is_much_thinner_than_the_start_does_not_vanish(start, devi
     solver = ct.GaussNewton(start=start, iterations=4)
     found = ct.reconstruct(scene(0.0), measured, truth=truth, seed=2, device=device, solver=solver, uncertainty=0)
     assert abs(found.history[-1].delta) < 0.3
+
+
+def test_images_that_are_too_dark_everywhere_do_not_say_that_there_is_no_cloud(device):
+    """A dark level of a tenth of the cloud's radiance was taken away twice."""
+    truth = ct.cumulus(GRID, seed=1, peak=40)
+    right = images(scene(), truth, device)
+    level = 0.1 * np.percentile(right.images[0], 99)
+    measured = replace(right, images=tuple(image - level for image in right.images))
+    solver = ct.GaussNewton(iterations=3)
+    found = ct.reconstruct(scene(), measured, truth=truth, seed=2, device=device, solver=solver, uncertainty=0)
+    assert -0.5 < found.history[-1].delta < 0
 
 
 def test_a_start_of_next_to_nothing_is_refused(device):
