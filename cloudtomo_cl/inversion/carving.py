@@ -69,7 +69,8 @@ def cloudy_pixels(
     of clear pixels: three times `significance` standard errors of the quieter pixels (their
     lower quartile), but no less than `contrast` and no more than two and a half times `contrast` of
     the image's own scale, the 99th percentile of the differences. The scale is at least a quarter
-    of the largest among the images, so that noise does not set the scale of a view with hardly any cloud.
+    of the median of all images', so that noise does not set the scale of a view with hardly any cloud. (Not of the
+    largest: a view towards the sun may be many times as bright as the others.)
     Gaps of a pixel or two and holes are then closed: where the brightness of a cloud's image
     passes through that of the ground, the cloud goes on. (Not in lists of rays, whose pixels
     have no neighbours.) Where a view's pointing is uncertain, pixels beside such ones count as
@@ -103,7 +104,7 @@ def cloudy_pixels(
     gains = zip(errors, measurements.images, measurements.calibration_errors)
     errors = [np.hypot(error, image * gain) if gain else error for error, image, gain in gains]
     scales = np.array([np.nanpercentile(difference, _SCALE_PERCENTILE) for difference in differences])
-    scales = np.maximum(scales, scales.max() / 4)
+    scales = np.maximum(scales, np.quantile(scales, 0.5, method="lower") / 4)
     cloudy = []
     for index, (view, difference, error, scale) in enumerate(zip(measurements.views, differences, errors, scales)):
         bad = np.isnan(difference)

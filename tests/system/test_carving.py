@@ -17,7 +17,7 @@ from cloudtomo_cl.inversion.carving import carve
 from cloudtomo_cl.scene.grid import Grid, coarsened
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene, Sun, Surface
-from cloudtomo_cl.scene.sensors import PerspectiveView
+from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
 DATA = Path(os.environ.get("CLOUDTOMO_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
@@ -83,3 +83,18 @@ def test_a_generated_cloud_is_kept_under_any_sun_over_any_ground(sun, albedo, la
     print(f"sun {sun}, albedo {albedo}: {mask.mean():.3f} of the voxels and {kept:.4f} of the mass are kept")
     assert kept >= 0.99
     assert mask.mean() < largest
+
+
+def test_a_camera_towards_the_sun_does_not_carve_clouds_away_that_others_see():
+    """Clouds are some fifty times as bright in its image as in all others."""
+    grid = Grid((12, 12, 12), (0.08, 0.08, 0.08), origin=(0.0, 0.0, 0.4))
+    cloud = cumulus(grid, seed=3, peak=40.0)
+    sky = [OrthographicView(zenith=45.0, azimuth=azimuth, width=1.6, pixels=(32, 32)) for azimuth in (0, 90, 180, 270)]
+    sun = Sun(zenith=30.0, azimuth=30.0).direction
+    below = np.array(grid.centre) - 0.8 * np.array(sun) / sun[2]
+    up = PerspectiveView(position=tuple(below), target=grid.centre, field_of_view=70.0, pixels=(32, 32))
+    images, clear = rendered(grid, cloud, (*sky, up), samples=512, sun=30.0, albedo=0.0)
+    assert images.images[-1].max() > 20 * max(image.max() for image in images.images[:-1])
+    mask = carve(grid, images, clear)
+    assert cloud[mask].sum() > 0.99 * cloud.sum()
+    assert mask.mean() < 0.4
