@@ -29,7 +29,7 @@ from cloudtomo_cl.files.truth import read_truth
 from cloudtomo_cl.inversion.bound_priors import unlike_prior
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint
-from cloudtomo_cl.inversion.checks import check, check_memory
+from cloudtomo_cl.inversion.checks import check, check_memory, unseen_text
 from cloudtomo_cl.inversion.outliers import outlier_text
 from cloudtomo_cl.inversion.reconstruct import reconstruct
 from cloudtomo_cl.inversion.records import COLUMNS, IterationRecord, Reconstruction
@@ -201,13 +201,15 @@ def execute(job: Job) -> Outcome:
     _say_what_begins(job)
     mask = _carve(job) if job.resumed is None else job.resumed.mask
     before = [] if job.resumed is None else records(job.resumed)
-    _say_if_memory_is_tight(job, mask)
+    _say_what_is_doubtful(job, mask)
     job.folder.begin(_description(job), before or None)
     stop.answer = "finishing the iteration"
     try:
         with warnings.catch_warnings(), ReconstructionProgress(job.console, job.settings.run.time_limit) as show:
             # These are told already.
-            warnings.filterwarnings("ignore", "the prior was learnt|a reconstruction with", RuntimeWarning)
+            warnings.filterwarnings(
+                "ignore", r"the prior was learnt|a reconstruction with|\d+% of the voxels", RuntimeWarning
+            )
             show.go_on(before)
 
             def record(iteration: IterationRecord) -> None:
@@ -263,12 +265,14 @@ def _say_what_begins(job: Job) -> None:
         job.say(f"the run was on {resumed.device}: on {job.device.name} bits may differ")
 
 
-def _say_if_memory_is_tight(job: Job, mask: np.ndarray) -> None:
+def _say_what_is_doubtful(job: Job, mask: np.ndarray) -> None:
     if not mask.any():
         return  # which is refused
     given = job.scene, job.measurements, stages_of(job.scene.grid, job.settings.stage, job.settings.solver)
     if tight := ranks.current().together(lambda: check_memory(*given, job.device, job.settings.solver, mask)):
         job.say(tight)
+    if unseen := unseen_text(job.scene, job.measurements, mask):
+        job.say(unseen)
 
 
 def _carve(job: Job) -> np.ndarray:

@@ -28,9 +28,12 @@ from cloudtomo_cl.scene.measurements import Measurements, check_wavelength
 from cloudtomo_cl.scene.metrics import epsilon
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.seeds import checked_seed
+from cloudtomo_cl.scene.visibility import voxels_in_view
 
 # Optical depth along a mean chord of the domain that a start given by the user has at least.
 _LEAST_START = 1e-3
+# Largest share of the voxels that may hold cloud, but are in no image, of which nothing is said.
+_LARGEST_UNSEEN = 0.01
 # What to do where memory is short.
 _FEWER = "choose a coarser [grid] or [[stage]], or fewer samples or pixels"
 
@@ -119,6 +122,24 @@ def _check_start(grid: Grid, stages: Sequence[Stage], solver: Any) -> None:
                 f"solver.{name} is {value:g} km^-1, an optical depth of {value * edge:.3g} across a voxel of "
                 f"{edge:g} km: it must be below {DIVERGED_DEPTH / edge:.3g} km^-1"
             )
+
+
+def unseen_text(scene: Scene, measurements: Measurements, mask: np.ndarray) -> str:
+    """A text that says how much of what may hold cloud is in no image; empty if that is little.
+
+    A periodic domain is seen in its copies, too: of that nothing is said.
+
+    mask : voxels that may hold cloud, bool, shape of the scene's grid
+    """
+    if scene.boundary.horizontal == "periodic" or not mask.any():
+        return ""
+    share = np.count_nonzero(mask & ~voxels_in_view(measurements.views, scene.grid)) / np.count_nonzero(mask)
+    if share <= _LARGEST_UNSEEN:
+        return ""
+    return (
+        f"{share:.0%} of the voxels that may hold cloud are in no view's image: what is recovered there follows from "
+        "the prior and from light that comes out elsewhere. Take a smaller [grid], or a mask"
+    )
 
 
 def check_memory(

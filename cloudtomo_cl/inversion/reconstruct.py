@@ -15,7 +15,7 @@ import numpy as np
 from cloudtomo_cl.inversion.bound_priors import unlike_prior
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, identity_of, read_checkpoint
-from cloudtomo_cl.inversion.checks import by_default, check, check_ends, check_memory, require_one_question
+from cloudtomo_cl.inversion.checks import by_default, check, check_ends, check_memory, require_one_question, unseen_text
 from cloudtomo_cl.inversion.priors import AnyPrior, Regulariser
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.records import History, IterationRecord, Reconstruction
@@ -120,8 +120,8 @@ def reconstruct(
     uncertainty : draws that the standard error is made of, at the end, in the time of an iteration or two; 0: none.
         Known with Gauss-Newton, when the last stage was reached, the images' noise is known, and nobody asked to stop
 
-    Warns of voxels of a shape that the patch prior was not learnt from, and of memory that a deep cloud may not find
-    (RuntimeWarning).
+    Warns of voxels of a shape that the patch prior was not learnt from, of memory that a deep cloud may not find, and
+    of voxels that may hold cloud and are in no image (RuntimeWarning).
 
     Raises
     ------
@@ -150,8 +150,9 @@ def reconstruct(
         mask = carved_mask(scene, measurements, device) if resumed is None else resumed.mask
     question = _Question(scene, measurements, prior, checked_mask(mask, scene.grid), device)
     tight = ranks.together(lambda: check_memory(scene, measurements, stages, device, solver, question.mask))
-    if ranks.is_first and tight:
-        warnings.warn(tight, RuntimeWarning, stacklevel=3)
+    for text in (tight, unseen_text(scene, measurements, question.mask)):
+        if ranks.is_first and text:
+            warnings.warn(text, RuntimeWarning, stacklevel=3)
     identity = identity_of(scene, measurements, stages, prior, solver, question.mask, truth, seed)
     run = Run(stages, question.mask) if resumed is None else Run.resumed(stages, question.mask, resumed)
     keeper = KeepCheckpoints(Checkpoints(checkpoint, checkpoint_interval, ranks), identity, device.name)

@@ -92,6 +92,25 @@ def pixels_that_see(view: View, grid: Grid, mask: np.ndarray) -> np.ndarray:
     return changes.cumsum(axis=0).cumsum(axis=1)[:height, :width] > 0
 
 
+def voxels_in_view(views: Sequence[View], grid: Grid) -> np.ndarray:
+    """Which voxels have their centre in the image of any view: bool, shape of the grid.
+
+    Lists of rays may see any voxel.
+    """
+    if any(isinstance(view, RayView) for view in views):
+        return np.ones(grid.shape, bool)
+    middles = [grid.origin[axis] + grid.spacing[axis] * (np.arange(grid.shape[axis]) + 0.5) for axis in range(3)]
+    seen = np.zeros(grid.shape, bool)
+    for view in views:
+        for first, last in slabs(grid):
+            points = np.stack(np.meshgrid(middles[0][first:last], *middles[1:], indexing="ij"), axis=-1)
+            u, v, depth = view.project(grid, points)  # type: ignore[union-attr]
+            # The image plane of parallel rays may lie in the domain's top.
+            in_front = depth > -_EDGE * min(grid.spacing)
+            seen[first:last] |= in_front & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
+    return seen
+
+
 @dataclass(frozen=True)
 class Footprints:
     """Bounding boxes of voxels in an image, clipped to its frame: columns [left, right), rows [top, bottom).
