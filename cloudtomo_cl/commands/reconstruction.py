@@ -252,7 +252,10 @@ def _say_what_begins(job: Job) -> None:
     measurements, resumed = job.measurements, job.resumed
     if measurements.invalid_pixels:
         share = measurements.invalid_pixels / sum(image.size for image in measurements.images)
-        job.say(f"{measurements.invalid_pixels} invalid pixels ({share:.2%}) are not used")
+        which = (
+            "1 invalid pixel" if measurements.invalid_pixels == 1 else f"{measurements.invalid_pixels} invalid pixels"
+        )
+        job.say(f"not used: {which} ({share:.2%})")
     if unlike := unlike_prior(job.settings.prior, job.scene.grid):
         job.say(unlike)
     if resumed is None:
