@@ -69,7 +69,9 @@ def test_an_index_links_to_every_page_of_its_folder(folder):
     assert pages <= set(targets(DOCS / folder / "index.md"))
 
 
-@pytest.mark.parametrize("path", sorted((DOCS / "decisions").glob("[!i]*.md")), ids=name)
+@pytest.mark.parametrize(
+    "path", sorted(set((DOCS / "decisions").glob("*.md")) - {DOCS / "decisions" / "index.md"}), ids=name
+)
 def test_a_decision_has_a_question_and_an_outcome(path):
     text = path.read_text(encoding="utf-8")
     assert text.count("**Question.**") == 1
