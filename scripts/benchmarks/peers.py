@@ -86,23 +86,23 @@ def gradient(name: str, quick: bool) -> Iterator[Line]:
     mask = case.extinction > 0
     operator = ct.RadianceOperator(case.scene, (case.view,), mask=mask)
     adjoint = np.full((len(operator.pixels), 2), 0.5 / len(operator.pixels))
-    field = TableGradient(operator)
+    table = TableGradient(operator)
 
     def replayed(seed: int) -> np.ndarray:
         rendering = operator.render(case.extinction, ours, seed, store_paths=True)
         return operator.gradient(rendering, adjoint).get()[mask]
 
-    def by_field(seed: int) -> np.ndarray:
+    def by_adjoint(seed: int) -> np.ndarray:
         rendering = operator.render(case.extinction, ours, seed, store_paths=True)
-        return field.gradient(rendering, adjoint)[0].get()[mask]
+        return table.gradient(rendering, adjoint)[0].get()[mask]
 
     def by_mitsuba(seed: int) -> np.ndarray:
         return peer.gradient(theirs, seed)[1][mask]
 
-    programs = {"replay": replayed, "field": by_field, "Mitsuba": by_mitsuba}
+    programs = {"replay": replayed, "adjoint": by_adjoint, "Mitsuba": by_mitsuba}
     found: dict[str, list[np.ndarray]] = {program: [] for program in programs}
     seconds: dict[str, list[float]] = {program: [] for program in programs}
-    for program in programs.values():  # kernels, and the field's table
+    for program in programs.values():  # kernels, and the radiance table
         program(1000)
     for n in range(repeats):
         for program, run in programs.items():
@@ -116,13 +116,13 @@ def gradient(name: str, quick: bool) -> Iterator[Line]:
     error = {program: float(np.std(values, ddof=1) / np.sqrt(repeats)) for program, values in sums.items()}
     mean = {program: float(np.mean(values)) for program, values in sums.items()}
     expected = _along_extinction(operator, case.extinction, 128 if quick else 512)
-    share = {"replay": theirs / ours, "field": theirs / ours}
-    for program in ("replay", "field"):
+    share = {"replay": theirs / ours, "adjoint": theirs / ours}
+    for program in ("replay", "adjoint"):
         times = np.divide(seconds["Mitsuba"], seconds[program])
         ratios = times * variance["Mitsuba"] / variance[program]
-        label = f"{what}, {program}" + (" (the default; biased)" if program == "field" else "")
-        if program == "field":
-            note = f"{case.name}; along the extinction {mean['field'] / expected[0]:.2f} of finite differences"
+        label = f"{what}, {program}" + (" (the default; biased)" if program == "adjoint" else "")
+        if program == "adjoint":
+            note = f"{case.name}; along the extinction {mean['adjoint'] / expected[0]:.2f} of finite differences"
         else:
             differences = f"finite differences {expected[0]:.5g} +- {expected[1]:.2g}"
             try:

@@ -1,5 +1,6 @@
 """What scripts/others_images.py, wrong_optics.py and paper_method.py compute, without a recovery."""
 
+import re
 import sys
 from dataclasses import fields
 from pathlib import Path
@@ -126,3 +127,12 @@ def test_a_coarser_grid_leaves_out_the_finer_stages_and_keeps_the_last_photons(s
     assert [stage.samples for stage in run.stage] == [768, 384, 192, 96, 48, 256]
     assert [stage.prior_weight for stage in run.stage][-2:] == [0.2, 1.0]
     assert {stage.iterations for stage in run.stage} == {50}
+
+
+def test_tests_that_scripts_name_are_there():
+    found = [
+        named for path in SCRIPTS.rglob("*.py") for named in re.findall(r"tests/\w+/\w+\.py::\w+", path.read_text())
+    ]
+    assert found
+    for file, name in (named.split("::") for named in found):
+        assert f"def {name}(" in (SCRIPTS.parent / file).read_text(), f"{file} has no {name}"
