@@ -10,7 +10,7 @@ import xarray as xr
 
 import cloudtomo_cl as ct
 from cloudtomo_cl import memory
-from cloudtomo_cl.commands.reconstruction import _say_if_memory_is_tight
+from cloudtomo_cl.commands.reconstruction import _say_what_is_doubtful
 from cloudtomo_cl.errors import DataError, DeviceError
 from cloudtomo_cl.files.extinction import read_extinction
 from cloudtomo_cl.inversion.checks import check_memory
@@ -111,7 +111,7 @@ def test_a_command_says_so(of_a_run, monkeypatch):
     monkeypatch.setattr(memory, "free_memory", lambda: 1.01 * needed)
     settings, told = SimpleNamespace(stage=stages, solver=solver), []
     job = SimpleNamespace(scene=scene, measurements=measurements, settings=settings, device=device, say=told.append)
-    _say_if_memory_is_tight(job, mask)
+    _say_what_is_doubtful(job, mask)
     assert len(told) == 1 and "ends with an error if the cloud turns out so deep" in told[0]
 
 
