@@ -101,7 +101,7 @@ def make_report(run: RunFolder, quiet: bool) -> None:
         shown.truth,
         shown.measurements,
         shown.modelled,
-        shown.notes,
+        [*shown.notes, *([str(shown.result.attrs["outliers"])] if "outliers" in shown.result.attrs else [])],
         shown.sun,
     )
     with written_whole(run.files.report) as partial:
@@ -235,8 +235,6 @@ def _numbers(shown: _Shown) -> dict[str, str]:
         numbers["typical standard error in cloud"] = f"{error:.3g} km⁻¹"
     elif "no_standard_error" in shown.result.attrs:
         numbers["standard error"] = f"not known: {shown.result.attrs['no_standard_error']}"
-    if "outliers" in shown.result.attrs:
-        numbers["outliers"] = str(shown.result.attrs["outliers"])
     return numbers
 
 

@@ -79,7 +79,7 @@ def report_page(
     figures : PNG files by name, shown in this order
     settings : types of JSON
     measurements, modelled : images, and those of the recovered cloud
-    notes : sentences about what is left out
+    notes : sentences about what is left out, and what to know of the images
     sun : that the cloud is lit by, if it is known
     """
     shown, factor = _coarse_enough(grid)
