@@ -9,10 +9,11 @@ import numpy as np
 
 from cloudtomo_cl.inversion.halo import Halo
 from cloudtomo_cl.inversion.mixture import Mixture
-from cloudtomo_cl.inversion.patch_kernels import LANES, NO_PATCH, PatchKernels, places
+from cloudtomo_cl.inversion.patch_kernels import LANES, NO_PATCH, PatchKernels
 from cloudtomo_cl.inversion.patches import Patches
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.layout import places
 
 # Patches in a block, which belongs to one rank.
 _PATCHES_OF_BLOCK = 64

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.transport.voxel_shares import ROW
 
@@ -31,10 +29,3 @@ class PatchKernels:
         """Runs one of them, where there is anything to do."""
         if work_items:
             self.device.launch(self.device.kernel("patches", name, self._features), work_items, **arguments)
-
-
-def places(voxels: np.ndarray) -> np.ndarray:
-    """Voxels (x, y, z), shape (voxels, 3), as kernels take them: uint16, with a fourth number, 0."""
-    found = np.zeros((len(voxels), 4), np.uint16)
-    found[:, :3] = voxels
-    return found

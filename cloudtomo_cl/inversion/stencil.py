@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.inversion.halo import Halo
-from cloudtomo_cl.inversion.patch_kernels import LANES, PatchKernels, places
+from cloudtomo_cl.inversion.patch_kernels import LANES, PatchKernels
 from cloudtomo_cl.opencl.arrays import DeviceArray
+from cloudtomo_cl.opencl.layout import places
 from cloudtomo_cl.opencl.memory import Footprint
 
 # Share of the tiles' voxels that are near cloud, and number of voxels that share a patch of 5 x 5 x 3 with one voxel.

@@ -1,4 +1,4 @@
-"""The structs that host and kernels share: one description serves both sides."""
+"""The structs and arrays that host and kernels share: one description serves both sides."""
 
 from __future__ import annotations
 
@@ -238,3 +238,10 @@ def ray_array(views: Sequence[View], scene: Scene) -> np.ndarray:
         if isinstance(view, RayView)
     ]
     return np.concatenate(arrays or [np.zeros((1, 6))]).astype(np.float32)
+
+
+def places(voxels: np.ndarray) -> np.ndarray:
+    """Voxels (x, y, z), shape (voxels, 3), as kernels take them: uint16, with a fourth number, 0."""
+    found = np.zeros((len(voxels), 4), np.uint16)
+    found[:, :3] = voxels
+    return found

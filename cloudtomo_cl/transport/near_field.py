@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.opencl.layout import TILE_WIDTH
+from cloudtomo_cl.opencl.layout import TILE_WIDTH, places
 from cloudtomo_cl.transport.radiance import RadianceOperator
 from cloudtomo_cl.transport.tiles import tiles_of
 
@@ -73,9 +73,7 @@ class NearField:
         assert operator.mask is not None
         device, self._scene, self._column = operator.device, operator.scene_struct, column
         self.tiles = Tiles(operator)
-        places = np.zeros((np.count_nonzero(operator.mask), 4), np.uint16)
-        places[:, :3] = np.argwhere(operator.mask)
-        self.place = device.constant(places)
+        self.place = device.constant(places(np.argwhere(operator.mask)))
         pixels = len(self.tiles)
 
         def launch(name: str, **arguments: Any) -> None:

@@ -103,7 +103,7 @@ def unbroken(recovered):
 
 @pytest.mark.parametrize("times", [0.0, 50, 1e6])
 def test_a_broken_pixel_spoils_no_recovery(recovered, unbroken, times):
-    """Runs with other seeds are 0.03 apart."""
+    """Runs that differ in a few bits are some 0.02 apart."""
     result = recovered(times)
     assert result.history[-1].epsilon < unbroken.history[-1].epsilon + 0.06
 
