@@ -101,7 +101,7 @@ def run(
         raise SettingsError("--generate needs --output too")
     if file is not None:
         require_file(file)
-    options.check_outputs(overwrite, output=output, png=png, vti=vti)
+    options.check_outputs(overwrite, output=output, png=png, vti=vti, inputs=(file, reading["droplet_table"]))
     steps = {"crop": crop, "pad": pad, "rotate": rotate, "coarsen": coarsen, "tile": tile}
     bounds = None if crop is None else _pairs("crop", crop, float, (None, None))
     clear = None if pad is None else _pairs("pad", pad, int, (0, 0))

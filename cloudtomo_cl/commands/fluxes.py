@@ -19,6 +19,7 @@ from cloudtomo_cl.files.extinction import extinction_dataset
 from cloudtomo_cl.files.netcdf import ENDINGS, check_output, is_netcdf, save_dataset
 from cloudtomo_cl.opencl.devices import choose_device
 from cloudtomo_cl.scene.scene import Boundary, Scene
+from cloudtomo_cl.settings.inputs import input_files
 from cloudtomo_cl.settings.scenes import read_scene_file
 from cloudtomo_cl.settings.stored import kept_scene, stored_scene
 from cloudtomo_cl.transport.flux import Fluxes, FluxOperator, can_be_open
@@ -82,7 +83,8 @@ def prepare(request: Request) -> Job:
     """Reads and checks everything, and builds the kernels. Raises what can be refused."""
     scene, extinction, radius, made = _to_compute(request.scene, request.overrides)
     if request.output is not None:
-        check_output(request.output, request.overwrite, ENDINGS)
+        inputs = input_files(request.scene, request.overrides)
+        check_output(request.output, request.overwrite, ENDINGS, inputs=inputs)
     stopping.check()
     return Job(
         request=request,

@@ -68,11 +68,14 @@ def run(
     if kind == "reconstruct" and cloud is not None:
         raise SettingsError("--cloud belongs to `cloudtomo init render`; a known cloud to compare with is --truth")
     output = output or Path(_FILES[kind])
-    check_output(output, overwrite)
-    if kind == "render":
+    if kind == "reconstruct":
+        measurements = measurements or output.parent / "images.nc"
+    named = [file for file in (cloud, measurements, truth) if file is not None]
+    check_output(output, overwrite, inputs=named)
+    if measurements is None:
         text = scene_file(cloud, output.parent)
     else:
-        text = run_file(measurements or output.parent / "images.nc", truth, output.parent)
+        text = run_file(measurements, truth, output.parent)
     stopping.check()
     with written_whole(output) as partial:
         partial.write_text(text, encoding="utf-8")

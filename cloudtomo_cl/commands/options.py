@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 
@@ -39,18 +39,28 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def check_outputs(overwrite: bool, output: Path | None, png: Path | None = None, vti: Path | None = None) -> None:
-    """Checks where a netCDF file, a picture and a .vti file shall go, before the work. DataError as `check_output`."""
+def check_outputs(
+    overwrite: bool,
+    output: Path | None,
+    png: Path | None = None,
+    vti: Path | None = None,
+    inputs: Sequence[Path | None] = (),
+) -> None:
+    """Checks where a netCDF file, a picture and a .vti file shall go, before the work. DataError as `check_output`.
+
+    inputs : files that are read, of which none may be written; None: no file
+    """
     from cloudtomo_cl.files.netcdf import ENDINGS, check_output
     from cloudtomo_cl.files.vti import ENDINGS as VTI
     from cloudtomo_cl.report.plots import PICTURES
 
+    read = [file for file in inputs if file is not None]
     if output is not None:
-        check_output(output, overwrite, ENDINGS)
+        check_output(output, overwrite, ENDINGS, inputs=read)
     if png is not None:
-        check_output(png, overwrite, PICTURES, "--png")
+        check_output(png, overwrite, PICTURES, "--png", read)
     if vti is not None:
-        check_output(vti, overwrite, VTI, "--vti")
+        check_output(vti, overwrite, VTI, "--vti", read)
 
 
 def folder(text: str) -> Path:

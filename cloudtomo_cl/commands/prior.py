@@ -97,8 +97,7 @@ def run(
     assert action == "learn"
     for cloud in clouds:
         require_file(cloud)
-    options.check_outputs(overwrite, output=output)
-    _check_apart(output, clouds)
+    options.check_outputs(overwrite, output=output, inputs=clouds)
     given = [_read(cloud) for cloud in clouds]
     console = Console(markup=False, emoji=False, quiet=quiet)
     with progress.counting(console, "rounds of learning") as show:
@@ -114,13 +113,6 @@ def run(
     mixture_file(learnt).write(output, attributes)
     for line in (*map(_line, learnt), f"{output} is written; in the settings of a recovery:", *_settings(output)):
         console.print(printable(line), highlight=False, soft_wrap=True)
-
-
-def _check_apart(output: Path, clouds: list[Path]) -> None:
-    """Checks that no cloud would be written over. DataError if so."""
-    for cloud in clouds:
-        if output.exists() and output.samefile(cloud):
-            raise DataError(f"{output}: is a cloud to learn from: choose another --output")
 
 
 def _read(path: Path) -> tuple[Grid, np.ndarray]:

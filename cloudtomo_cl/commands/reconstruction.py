@@ -41,6 +41,7 @@ from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.metrics import delta, epsilon
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.visibility import check_views
+from cloudtomo_cl.settings.inputs import input_files
 from cloudtomo_cl.settings.stored import stored_scene
 from cloudtomo_cl.settings.tables import (
     ReconstructSettings,
@@ -148,8 +149,15 @@ def prepare(request: Request) -> Job:
     folder = request.folder
     resumed = folder.read_checkpoint() if request.resume else None
     if ranks.current().is_first:
-        # Without a checkpoint there is nothing that a resume could lose.
-        (folder.check_own if request.resume else folder.check_new)()
+        inputs = (*input_files(request.run, request.overrides), getattr(settings.prior, "file", None))
+        read = [file for file in inputs if file is not None]
+        if request.resume:
+            # What a run goes on from, a result with its images, stays whole: the new result has them, too. Without a
+            # checkpoint there is nothing that a resume could lose.
+            own = os.path.realpath(folder.files.reconstruction)
+            folder.check_own(file for file in read if os.path.realpath(file) != own)
+        else:
+            folder.check_new(read)
     scene = settings.scene(stored.get("scene", {}))
     if scene.wavelength is None:
         scene = replace(scene, wavelength=measurements.wavelength)

@@ -23,6 +23,7 @@ from cloudtomo_cl.scene.noise import Noise
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.sensors import View
 from cloudtomo_cl.scene.visibility import check_views
+from cloudtomo_cl.settings.inputs import input_files
 from cloudtomo_cl.settings.scenes import read_scene_file
 from cloudtomo_cl.settings.stored import kept_scene, noise_of_table, stored_noise, stored_scene
 from cloudtomo_cl.settings.tables import views
@@ -98,7 +99,8 @@ class Result:
 def prepare(request: Request) -> Job:
     """Reads and checks everything, and builds the kernels. Raises what can be refused."""
     scenes, seen, extinctions, radius, made = _to_render(request.scene, request.overrides)
-    check_output(request.output, request.overwrite, ENDINGS)
+    inputs = input_files(request.scene, request.overrides)
+    check_output(request.output, request.overwrite, ENDINGS, inputs=inputs)
     _check_previews(request.png, request.overwrite)
     check_views(scenes[0], seen)
     stopping.check()

@@ -37,8 +37,8 @@ def run(folder: Path, vti: Path | None, device: str | None, overwrite: bool, qui
     from cloudtomo_cl.commands.reporting import export_vti, make_report, renew_modelled
     from cloudtomo_cl.commands.run_folder import RunFolder
 
-    options.check_outputs(overwrite, output=None, vti=vti)
     of_run = RunFolder(folder)
+    options.check_outputs(overwrite, output=None, vti=vti, inputs=of_run.files.outputs)
     of_run.check_finished()
     with of_run.held():
         renew_modelled(of_run, device, quiet)

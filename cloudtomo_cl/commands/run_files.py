@@ -20,7 +20,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.files.whole import written_whole
+from cloudtomo_cl.files.whole import check_apart, written_whole
 from cloudtomo_cl.report.plots import FIGURES
 
 
@@ -91,6 +91,12 @@ class RunFiles:
         for path in paths:
             if os.path.lexists(path):
                 raise DataError(f"{path}: no run has written it, and it is not replaced: move it away")
+
+    def require_apart(self, inputs: Iterable[Path]) -> None:
+        """DataError if a run would replace one of the files that it reads."""
+        inputs = list(inputs)
+        for path in (*self.outputs, self.list_file):
+            check_apart(path, inputs)
 
     def claim(self, *paths: Path) -> None:
         """Takes files to the list of those that runs have written, before they are. DataError if it cannot be."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import fields
 from pathlib import Path
@@ -64,9 +64,13 @@ class RunFolder:
         self._check_folder()
         return held(self.path)
 
-    def check_new(self) -> None:
-        """DataError if the folder holds a run already, or a file that one would replace, or is no folder."""
+    def check_new(self, inputs: Iterable[Path] = ()) -> None:
+        """DataError if the folder holds a run already, or a file that one would replace, or is no folder.
+
+        inputs : files that the run reads, of which it may replace none
+        """
         self._check_folder()
+        self.files.require_apart(inputs)
         if self.overwrite:
             return
         if any(file.exists() for file in self.files.of_recovery):
@@ -79,9 +83,13 @@ class RunFolder:
         if not self.files.reconstruction.is_file():
             raise DataError(f"{self.path}: holds no {self.files.reconstruction.name}: no run was finished here")
 
-    def check_own(self) -> None:
-        """DataError if a file stands in a run's place that no run has written."""
+    def check_own(self, inputs: Iterable[Path] = ()) -> None:
+        """DataError if a file stands in a run's place that no run has written.
+
+        inputs : as of `check_new`
+        """
         self._check_folder()
+        self.files.require_apart(inputs)
         self.files.require_own(self.files.outputs)
 
     def claim(self, *paths: Path) -> None:

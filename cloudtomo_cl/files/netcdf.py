@@ -10,7 +10,7 @@ import math
 import os
 import re
 import stat
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,7 +21,7 @@ import numpy as np
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.missing import decode_all
 from cloudtomo_cl.files.units import RADIANCE, Unit, parse_unit
-from cloudtomo_cl.files.whole import check_target, written_whole
+from cloudtomo_cl.files.whole import check_apart, check_target, written_whole
 from cloudtomo_cl.memory import require, size_text
 from cloudtomo_cl.versions import version_of
 
@@ -162,23 +162,31 @@ def _check_classic(path: str | os.PathLike[str]) -> None:
     netcdf_file(path, mmap=False).close()
 
 
-def check_output(path: Path, overwrite: bool, endings: Sequence[str] = (), option: str = "--output") -> None:
+def check_output(
+    path: Path,
+    overwrite: bool,
+    endings: Sequence[str] = (),
+    option: str = "--output",
+    inputs: Iterable[Path] = (),
+) -> None:
     """Fails before the work, not after it.
 
     Parameters
     ----------
     endings : that the name may have; any without
     option : of the command line, that the path is from
+    inputs : files that are read, of which it may be none
 
     Raises
     ------
     DataError : a folder, a device, a pipe, protected against writing, in no folder, or there already and not to be
-        replaced; a name that stands for another format
+        replaced; a name that stands for another format; one of the inputs
     """
     if endings and path.suffix.lower() not in endings:
         named = " or ".join(ending for ending in endings if ending)
         raise DataError(f"{path}: the name must end in {named}, which is what {option} writes")
     target = check_target(path)
+    check_apart(path, inputs, option)
     if target.exists() and not overwrite:
         raise DataError(f"{path}: exists already: choose another {option}, or add --overwrite")
 

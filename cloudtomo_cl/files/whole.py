@@ -10,7 +10,7 @@ import re
 import secrets
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -89,6 +89,18 @@ def check_target(path: str | os.PathLike[str]) -> Path:
     if not mode & _WRITABLE or not os.access(target, os.W_OK):
         raise DataError(f"{named}: is protected against writing: choose another name, or chmod u+w")
     return target
+
+
+def check_apart(path: Path, inputs: Iterable[Path], option: str = "--output") -> None:
+    """Checks that a file to be written is none of those that are read, by whatever name or link. DataError if it is.
+
+    option : of the command line, that the path is from
+    """
+    for file in inputs:
+        with suppress(OSError):
+            if os.path.samefile(path, file):
+                also = "" if path == file else f" as {file}"
+                raise DataError(f"{path}: is read{also}, and would be lost: choose another {option}")
 
 
 def remove_abandoned(folder: Path, name: str | None = None) -> None:

@@ -215,7 +215,7 @@ MISTAKES = {
     "there already": (lambda folder: cloud(folder, "given.nc") and (folder / "prior.nc").touch(), [],
                       "prior.nc: exists already: choose another --output, or add --overwrite"),
     "over the cloud": (lambda folder: cloud(folder, "given.nc"), ["--output", "given.nc", "--overwrite"],
-                       "given.nc: is a cloud to learn from"),
+                       "given.nc: is read, and would be lost: choose another --output"),
 }  # fmt: skip
 
 
