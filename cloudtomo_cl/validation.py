@@ -72,7 +72,7 @@ class Quantity:
     block: int = 1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Experiment:
     """A scene with its quantities.
 

@@ -139,7 +139,7 @@ def droplet_tables(
     return tuple(tables)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Sizes:
     """Size parameters of droplets at one wavelength.
 

@@ -77,7 +77,7 @@ class ReadingOptions:
     layer: float | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Quantity:
     """A variable as it was read.
 

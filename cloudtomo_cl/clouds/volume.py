@@ -20,7 +20,7 @@ COVER_OPTICAL_DEPTH = 0.1
 _ROUNDING = 1e-6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CloudVolume:
     """The extinction of a cloud and, where known, the size of its droplets.
 

@@ -48,7 +48,7 @@ class Request:
     overwrite: bool
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Job:
     """All that the fluxes need.
 

@@ -82,7 +82,7 @@ class Request:
         return f"go on with\n  {shlex.join(words)}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Job:
     """All that a recovery needs.
 

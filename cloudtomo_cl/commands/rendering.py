@@ -51,7 +51,7 @@ class Request:
     overwrite: bool
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Job:
     """All that a rendering needs; nothing in it can be refused any more.
 

@@ -37,7 +37,7 @@ from cloudtomo_cl.settings.stored import kept_scene
 _CLOUD = 0.02
 
 
-@dataclass
+@dataclass(eq=False)
 class _Shown:
     """What a report is made of: all of it belongs to the result.
 

@@ -47,7 +47,7 @@ _NUMBERS = re.compile(r"(model_|sigma_)?(levels?|layers?)|count|index|none|-|1|n
 _DEGREES = re.compile(r"degrees?_?([ewns]|east|west|north|south)", re.I)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Axis:
     """Where the voxels along a dimension lie.
 

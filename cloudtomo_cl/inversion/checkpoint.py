@@ -37,7 +37,7 @@ _LONG = 32
 _LEAST_WORK = 20.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Checkpoint:
     """A reconstruction between two iterations.
 

@@ -22,7 +22,7 @@ from cloudtomo_cl.scene.visibility import pixels_that_see
 _BRIGHTEST, _BRIGHT_PERCENTILE = 3.0, 99.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ActivePixels:
     """The valid pixels that look at voxels of a mask, and what was measured there.
 

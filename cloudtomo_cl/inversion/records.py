@@ -120,7 +120,7 @@ class History(list[IterationRecord]):
 _COLUMNS = ("stage", "iteration", "time (s)", "paths", "cost", "± s.e.", "by noise", "eps", "delta")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Reconstruction:
     """A recovered cloud.
 

@@ -25,7 +25,7 @@ from cloudtomo_cl.scene.metrics import delta, epsilon
 DIVERGED_DEPTH = 1000.0
 
 
-@dataclass
+@dataclass(eq=False)
 class Run:
     """The state of a run that goes on from stage to stage.
 
@@ -123,7 +123,7 @@ def _advice(solver: Any) -> str:
     return "let the solver take shorter steps"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class KeepHistory:
     """Adds a record to the history, with the errors if the truth is known, and calls the user's callback.
 

@@ -79,6 +79,12 @@ class Device:
     def __repr__(self) -> str:
         return f"Device({self.name!r})"
 
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        raise TypeError(
+            "a Device, and what holds one (operators, problems, Jacobians), can neither be pickled nor copied: it "
+            "belongs to this process; make another by choose_device()"
+        )
+
     @property
     def shares_memory(self) -> bool:
         """Whether the device uses the machine's main memory."""

@@ -32,7 +32,7 @@ _NODES, _WEIGHTS = ((x + 1) / 2 if n == 0 else x / 2 for n, x in enumerate(np.po
 LEAST_CHANGE, MOST_CHANGE = 0.1, 30.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Table:
     """A radiance table, on the host.
 
@@ -81,7 +81,7 @@ class RayDerivative(NamedTuple):
     derivative: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Pieces:
     """Of a ray, up to an optical depth.
 

@@ -155,7 +155,7 @@ def outside_crossings(
     return extinction[layer][outside], starts[outside], lengths[outside]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Flight:
     """A free flight, or the way to the sun.
 

@@ -49,7 +49,7 @@ class Deposits(NamedTuple):
     collisions: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Flown:
     """A flight: as `VirtualCollision`; it starts at `start`, and is `length` km long or leaves the grid."""
 

@@ -41,7 +41,7 @@ LOCAL_ESTIMATE_ROULETTE = 0.03
 SIDE_FLIGHT_RATE, SIDE_FLIGHT_LEAST, SIDE_FLIGHT_MOST = 6.0, 0.05, 6.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Contribution:
     """What one local estimate adds to a path.
 
@@ -131,7 +131,7 @@ def side_flights(
         yield local_estimate(scene, extinction, flight.position, estimate, onward, w_next[0], truncation)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class VirtualCollision:
     """Where another path begins: with a droplet that is not there (gradient.py).
 
@@ -154,7 +154,7 @@ class VirtualCollision:
     aside: bool
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Event:
     """An interaction of a path.
 

@@ -44,9 +44,9 @@ class _Renders(Protocol):
 
 
 @renamed_attributes(bad_pixels="invalid_pixels")
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Measurements:
-    """Images of one cloud.
+    """Images of one cloud; == tells whether two are the same object, not whether their radiances are equal.
 
     Attributes
     ----------

@@ -111,7 +111,7 @@ def voxels_in_view(views: Sequence[View], grid: Grid) -> np.ndarray:
     return seen
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Footprints:
     """Bounding boxes of voxels in an image, clipped to its frame: columns [left, right), rows [top, bottom).
 

@@ -24,7 +24,7 @@ from cloudtomo_cl.settings.tables import (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SceneFile:
     """What a scene file says, all of it read.
 

@@ -16,7 +16,7 @@ _VOXEL_EDGE = 2
 MOST_PAIRS = 1 << 25
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Blocks:
     """A division of things into blocks.
 

@@ -27,7 +27,7 @@ def most_cells(voxels: int) -> int:
     return max(_MOST_PER_VOXEL * voxels, _ALWAYS)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Cells:
     """How voxels are divided; cells are numbered voxel by voxel, z fastest.
 

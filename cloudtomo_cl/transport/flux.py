@@ -25,7 +25,7 @@ from cloudtomo_cl.transport.medium import Medium
 _BATCHES = 32
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Estimate:
     """A Monte Carlo estimate and its standard error: two arrays, or two numbers."""
 
@@ -33,7 +33,7 @@ class Estimate:
     standard_error: Any
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fluxes:
     """Fluxes of the columns of a grid, W m^-2, arrays (nx, ny).
 

@@ -13,7 +13,7 @@ from cloudtomo_cl.errors import DataError
 _LARGEST_VOXEL_DEPTH = 1e5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Medium:
     """An extinction on the device, and what walks through it take along.
 

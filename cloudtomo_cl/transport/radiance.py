@@ -274,7 +274,7 @@ class RadianceOperator:
         TransportError : a voxel's sum has overflowed
         """
         if rendering._launches is None:
-            raise DataError("this rendering kept no paths: render with store_paths=True")
+            raise DataError("this rendering kept no paths: render with store_paths=True (a copy of one has none)")
         adjoint = np.asarray(adjoint)
         if adjoint.shape != (len(self.pixels), 2) or adjoint.dtype.kind not in "iuf":
             raise DataError(f"adjoint is {adjoint.dtype} {adjoint.shape}: it must be numbers ({len(self.pixels)}, 2)")
@@ -312,7 +312,7 @@ class RadianceOperator:
         AuditError : after the last of them, if paths have brought other radiances than before
         """
         if rendering._launches is None:
-            raise DataError("this rendering kept no paths: render with store_paths=True")
+            raise DataError("this rendering kept no paths: render with store_paths=True (a copy of one has none)")
         pixels: DevicePixels = rendering._operator._pixels
         astray = self.device.zeros(1, np.uint32)
         for first, stored_paths in rendering._launches:

@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.measurements import measurements_dataset
 from cloudtomo_cl.renamed import renamed_attributes
 from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.transport.audit import Audit, combined
-from cloudtomo_cl.transport.medium import Medium
 
 
 @renamed_attributes(iteration="stream")
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Rendering:
     """Radiances of the operator's pixels.
 
@@ -31,6 +31,9 @@ class Rendering:
     samples : paths per pixel; an array (pixels,) if they differ (`adaptive.render_to_error`)
     seed, stream : what the paths were drawn with
     audit : what became of the paths
+
+    A copy by `copy` or `pickle` has all of these, but neither stored paths (`gradient` refuses it) nor operator
+    (`to_dataset` does): its images are those of `Measurements.rendered(operator, rendering)`.
     """
 
     mean: np.ndarray
@@ -40,25 +43,41 @@ class Rendering:
     seed: int
     stream: int
     audit: Audit
-    _medium: Medium = field(repr=False)
+    _medium: Any = field(repr=False)  # a Medium; None of a copy
     _launches: list[tuple[int, Any]] | None = field(repr=False, default=None)
     _operator: Any = field(repr=False, default=None)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Without what lives on a device."""
+        numbers = (self.mean, self.standard_error, self.halves, self.samples, self.seed, self.stream, self.audit)
+        return Rendering, (*numbers, None)
 
     def to_dataset(self) -> Any:
         """Its images as an xarray Dataset, with views, units and standard errors: see `measurements_dataset`.
 
-        Raises DataError where the operator has no pixel of a view: there is no image.
+        Raises DataError where the operator has no pixel of a view: there is no image; and of a copy.
         """
+        if self._operator is None:
+            raise DataError(
+                "this rendering is a copy, which has no views: write measurements_dataset(Measurements.rendered("
+                "operator, rendering))"
+            )
         return measurements_dataset(Measurements.rendered(self._operator, self))
 
     def _repr_html_(self) -> str:
-        images = [(f"view {number}", image) for number, image in enumerate(self._operator.images(self.mean))]
+        images = [] if self._operator is None else self._operator.images(self.mean)
         samples = f"{np.mean(self.samples):.6g} paths per pixel, seed {self.seed}"
-        return card("Rendering", {"mean radiance": f"{self.mean.mean():.4g} W m^-2 sr^-1", "made by": samples}, images)
+        return card(
+            "Rendering", {"mean radiance": f"{self.mean.mean():.4g} W m^-2 sr^-1", "made by": samples}, _named(images)
+        )
 
     def __repr__(self) -> str:
         radiance, samples = f"mean {self.mean.mean():.4g} W m^-2 sr^-1", np.mean(self.samples)
         return f"Rendering({self.mean.size} pixels, {radiance}, {samples:.6g} paths per pixel, seed {self.seed})"
+
+
+def _named(images: Sequence[np.ndarray]) -> list[tuple[str, np.ndarray]]:
+    return [(f"view {number}", image) for number, image in enumerate(images)]
 
 
 def pooled(first: Rendering, second: Rendering) -> Rendering:
