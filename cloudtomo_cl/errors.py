@@ -38,6 +38,10 @@ class DataError(CloudtomoError):
     """A file or an array does not hold what it must."""
 
 
+class InvalidArgumentError(DataError, TypeError):
+    """An argument of a function is of another kind than the function takes, for instance a name in place of images."""
+
+
 class TransportError(CloudtomoError):
     """A rendered radiance or a gradient is not finite."""
 

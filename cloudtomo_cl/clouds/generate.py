@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cloudtomo_cl.arguments import a, require_kinds
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.memory import require, require_countable, shape_text, voxels_of
 from cloudtomo_cl.scene.grid import Grid
@@ -271,6 +272,7 @@ PRESETS = {
 
 def _require_memory(grid: Grid, what: str) -> None:
     """DataError if there is not memory enough for an extinction on this grid, or more voxels than kernels count."""
+    require_kinds(what, grid=(grid, a(Grid)))
     voxels, shape = voxels_of(grid.shape), shape_text(grid.shape)
     require_countable(voxels, 0, f"{what}: {shape} voxels")
     require(_BYTES_PER_VOXEL * voxels, f"{what}: an extinction of {shape} voxels", "use fewer")

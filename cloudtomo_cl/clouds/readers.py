@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cloudtomo_cl.arguments import a, require_kinds
 from cloudtomo_cl.clouds.netcdf import read_netcdf_cloud
 from cloudtomo_cl.clouds.quantities import UNIFORM, Quantity, ReadingOptions, box_edges, cloud_volume, field_kind
 from cloudtomo_cl.clouds.text import read_text_cloud
@@ -39,6 +40,7 @@ def read_cloud(source: Source, options: ReadingOptions | None = None) -> CloudVo
     ------
     DataError : no such file, none of these, or something in it that cannot be; the text says what to do
     """
+    require_kinds("read_cloud", options=(options, a(ReadingOptions).or_none()))
     path, options = Path(name_of(source)), options or ReadingOptions()
     in_memory = not isinstance(source, (str, os.PathLike))
     if options.missing not in ("refuse", "clear"):

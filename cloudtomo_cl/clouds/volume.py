@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from cloudtomo_cl.arguments import a, require_kinds
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.extinction import check_extinction, check_radius
 from cloudtomo_cl.files.missing import require_present
@@ -43,6 +44,7 @@ class CloudVolume:
     readings: tuple[tuple[str, str], ...] = field(default=(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
+        require_kinds("CloudVolume", grid=(self.grid, a(Grid)))
         for name in ("extinction", "effective_radius"):
             if getattr(self, name) is None:
                 continue

@@ -17,7 +17,7 @@ from cloudtomo_cl.commands.run_files import RunFiles
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.extinction import WRITTEN_AXES, read_extinction, write_extinction
 from cloudtomo_cl.files.measurements import write_measurements
-from cloudtomo_cl.files.netcdf import AXES, netcdf_errors
+from cloudtomo_cl.files.netcdf import AXES, name_for_netcdf, netcdf_errors
 from cloudtomo_cl.files.whole import reason, remove_abandoned, written_whole
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, read_checkpoint
 from cloudtomo_cl.inversion.records import MASK, STANDARD_ERROR, VARIABLES
@@ -187,11 +187,11 @@ class RunFolder:
                 write_extinction(partial, grid, extinction, attributes)
             else:
                 write_measurements(partial, measurements, attributes, settings, (grid, extinction, None))
-            with netcdf_errors(), netCDF4.Dataset(partial, "a") as dataset:
-                for name, kind, array in ((MASK, "i1", mask), (STANDARD_ERROR, "f4", standard_error)):
+            with netcdf_errors(), name_for_netcdf(partial) as name, netCDF4.Dataset(name, "a") as dataset:
+                for variable_name, kind, array in ((MASK, "i1", mask), (STANDARD_ERROR, "f4", standard_error)):
                     if array is not None:
-                        variable = dataset.createVariable(name, kind, WRITTEN_AXES, zlib=True)
-                        variable.units, variable.long_name = VARIABLES[name]
+                        variable = dataset.createVariable(variable_name, kind, WRITTEN_AXES, zlib=True)
+                        variable.units, variable.long_name = VARIABLES[variable_name]
                         variable[:] = array.T
                 if standard_error is not None:
                     dataset["extinction"].ancillary_variables = STANDARD_ERROR
@@ -203,9 +203,9 @@ class RunFolder:
         self.check_finished()
         grid, extinction = read_extinction(self.files.reconstruction)
         try:
-            with netCDF4.Dataset(self.files.reconstruction) as dataset:
+            with name_for_netcdf(self.files.reconstruction) as name, netCDF4.Dataset(name) as dataset:
                 stored = dataset[MASK]
-                mask = np.asarray(stored[:]).astype(bool).transpose([stored.dimensions.index(name) for name in AXES])
+                mask = np.asarray(stored[:]).astype(bool).transpose([stored.dimensions.index(axis) for axis in AXES])
         except (OSError, RuntimeError, IndexError, ValueError, TypeError) as error:
             raise DataError(f"{self.files.reconstruction}: has no mask that can be read ({error})") from None
         if mask.shape != grid.shape:

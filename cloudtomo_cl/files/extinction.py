@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cloudtomo_cl.arguments import a, require_kinds
 from cloudtomo_cl.errors import DataError, InvalidSettingError
 from cloudtomo_cl.files.axes import TOLERANCE, Axis, read_axis
 from cloudtomo_cl.files.missing import require_present, undeclared_fill
@@ -291,6 +292,7 @@ def extinction_variables(
     path: Any, grid: Grid, extinction: np.ndarray, effective_radius: np.ndarray | None = None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Variables and coordinates of an extinction, checked."""
+    require_kinds(str(path), grid=(grid, a(Grid)))
     extinction = unmasked(extinction)
     if extinction.shape != grid.shape:
         raise DataError(f"{path}: extinction has shape {extinction.shape}, the grid {grid.shape}")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
+from cloudtomo_cl.arguments import PATH, a, many, require_kinds
 from cloudtomo_cl.errors import DataError, InvalidSettingError
 from cloudtomo_cl.files.axes import components_in_order, in_order
 from cloudtomo_cl.files.extinction import extinction_variables
@@ -127,6 +128,7 @@ def measurements_dataset(
     DataError : no view; images without a wavelength, of wavelengths that do not increase, or of other views beside
         others; as `extinction_dataset`
     """
+    require_kinds(name, measurements=(measurements, a(Measurements).or_(many(Measurements))))
     if isinstance(measurements, Measurements):
         return _dataset(measurements, attributes, settings, cloud, name)
     if not measurements:
@@ -367,6 +369,7 @@ def write_rays(path: str | os.PathLike[str], view: RayView) -> None:
     ------
     DataError : the file cannot be written
     """
+    require_kinds("write_rays", path=(path, PATH), view=(view, a(RayView)))
     import xarray as xr
 
     variables = {name.removeprefix("ray_"): variable for name, variable in _ray_variables([view]).items()}

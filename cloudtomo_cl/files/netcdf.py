@@ -10,6 +10,7 @@ import math
 import os
 import re
 import stat
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Union
 
 import numpy as np
 
+from cloudtomo_cl.arguments import PATH, require_kinds
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.missing import decode_all
 from cloudtomo_cl.files.units import RADIANCE, Unit, parse_unit
@@ -78,13 +80,15 @@ def load_dataset(source: Source) -> xr.Dataset:
         return decode_all(name_of(source), source)
     if isinstance(source, xr.DataArray):
         return decode_all(name_of(source), source.to_dataset(name=source.name or "extinction"))
+    require_kinds("reading", path=(source, PATH))
     path = Path(source)
     require_file(path)
     try:
-        _require_size(path)
-        # Times and other CF encodings that a foreign file may have are none of our business.
-        with xr.open_dataset(path, engine="netcdf4", decode_times=False, mask_and_scale=False) as dataset:
-            loaded = dataset.load()
+        with name_for_netcdf(path) as name:
+            _require_size(path, name)
+            # Times and other CF encodings that a foreign file may have are none of our business.
+            with xr.open_dataset(name, engine="netcdf4", decode_times=False, mask_and_scale=False) as dataset:
+                loaded = dataset.load()
         _check_classic(path)
         return decode_all(path, loaded)
     except (DataError, MemoryError):
@@ -128,11 +132,31 @@ def require_file(path: Path) -> None:
         raise DataError(f"{path}: no such file: it is {kind}; copy what it gives to a file first")
 
 
-def _require_size(path: Path) -> None:
-    """Checks what a file claims to hold before any of it is read: compressed, a small file may hold gigabytes."""
+@contextmanager
+def name_for_netcdf(path: str | os.PathLike[str]) -> Iterator[str]:
+    """Gives a name by which the netCDF library finds a file that is there.
+
+    The library reads names in its own way: what begins with a space, or as C:/ or a URL does, means something else to
+    it, unless the name is absolute, and a backslash is a slash to it on every system. Then a link stands in.
+    """
+    name = os.path.abspath(path)
+    if os.sep == "\\" or "\\" not in name:
+        yield name
+        return
+    with tempfile.TemporaryDirectory(prefix="cloudtomo-") as folder:
+        link = os.path.join(folder, "file.nc")
+        os.symlink(name, link)
+        yield link
+
+
+def _require_size(path: Path, name: str) -> None:
+    """Checks what a file claims to hold before any of it is read: compressed, a small file may hold gigabytes.
+
+    name : of the file, for the netCDF library
+    """
     import netCDF4
 
-    with netCDF4.Dataset(path) as file:
+    with netCDF4.Dataset(name) as file:
         claims = {
             name: np.dtype(variable.dtype if variable.dtype is not str else object).itemsize
             * math.prod(map(int, variable.shape))
@@ -202,8 +226,8 @@ def save_dataset(path: str | os.PathLike[str], dataset: xr.Dataset) -> None:
         encoding.setdefault(name, {})
         if name not in ("radiance", "radiance_standard_error", "effective_radius"):
             encoding[name]["_FillValue"] = None
-    with written_whole(path) as partial, netcdf_errors():
-        dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
+    with written_whole(path) as partial, name_for_netcdf(partial) as name, netcdf_errors():
+        dataset.to_netcdf(name, engine="netcdf4", format="NETCDF4", encoding=encoding)
 
 
 def save_variables(

@@ -11,8 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cloudtomo_cl.arguments import PATH, a, many, require_kinds
 from cloudtomo_cl.errors import DataError, InvalidSettingError
-from cloudtomo_cl.files.netcdf import factor_of, file_attributes, load_dataset, netcdf_errors, number_variable
+from cloudtomo_cl.files.netcdf import (
+    factor_of,
+    file_attributes,
+    load_dataset,
+    name_for_netcdf,
+    netcdf_errors,
+    number_variable,
+)
 from cloudtomo_cl.files.wavelengths import WAVELENGTH, at_wavelength, is_same, stacked, wavelengths_of
 from cloudtomo_cl.files.whole import written_whole
 from cloudtomo_cl.scene.droplets import DropletTable
@@ -113,13 +121,15 @@ def write_phase_function(
     ------
     DataError : the file cannot be written; tables that do not go into one
     """
+    one = a(TabulatedPhaseFunction, DropletTable)
+    require_kinds("write_phase_function", path=(path, PATH), table=(table, one.or_(many(DropletTable))))
     if isinstance(table, (TabulatedPhaseFunction, DropletTable)):
         dataset = _dataset(table, attributes)
     else:
         dataset = _several(path, table, attributes)
     encoding = {name: {"_FillValue": None} for name in dataset.variables}
-    with written_whole(path) as partial, netcdf_errors():
-        dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
+    with written_whole(path) as partial, name_for_netcdf(partial) as name, netcdf_errors():
+        dataset.to_netcdf(name, engine="netcdf4", format="NETCDF4", encoding=encoding)
 
 
 def _several(path: Any, tables: Sequence[DropletTable], attributes: Mapping[str, Any] | None) -> xr.Dataset:

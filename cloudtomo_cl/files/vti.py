@@ -5,16 +5,24 @@ from __future__ import annotations
 import os
 import zlib
 from collections.abc import Mapping
+from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
+from cloudtomo_cl.arguments import PATH, Kind, a, require_kinds
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.whole import written_whole
 from cloudtomo_cl.scene.grid import Grid
 
 ENDINGS = (".vti",)
 _NUMBERS = {"f4": "Float32", "i1": "Int8"}
+
+
+def _are_pairs(quantities: Any) -> bool:
+    return isinstance(quantities, Mapping) and all(
+        isinstance(one, tuple) and len(one) == 2 for one in quantities.values()
+    )
 
 
 def write_vti(path: str | os.PathLike[str], grid: Grid, quantities: Mapping[str, tuple[np.ndarray, str]]) -> None:
@@ -32,6 +40,8 @@ def write_vti(path: str | os.PathLike[str], grid: Grid, quantities: Mapping[str,
 
     Source: "VTK XML File Formats" of VTK's documentation; data is appended, compressed by zlib in one block.
     """
+    pairs = Kind("a dict of pairs: values and their unit", _are_pairs)
+    require_kinds("write_vti", path=(path, PATH), grid=(grid, a(Grid)), quantities=(quantities, pairs))
     if not quantities:
         raise DataError(f"{path}: there is no quantity to write")
     described, data, offset = [], [], 0

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from cloudtomo_cl.arguments import PATH, require_kinds
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.memory import size_text
 
@@ -40,6 +41,7 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     DataError : the folder does not exist, cannot be written, or its disk is full; `path` is no plain file (a device,
         a pipe, a folder), or protected against writing
     """
+    require_kinds("writing", path=(path, PATH))
     path = Path(path)
     target, partial = path, None
     try:

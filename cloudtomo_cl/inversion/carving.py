@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from cloudtomo_cl.arguments import NUMBER, a, require_kinds
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.renamed import renamed_arguments
@@ -92,6 +93,8 @@ def cloudy_pixels(
     ------
     DataError : the views of the two differ; contrast or significance is negative
     """
+    require_kinds("carve", measurements=(measurements, a(Measurements)), cloud_free=(cloud_free, a(Measurements)))
+    require_kinds("carve", contrast=(contrast, NUMBER), significance=(significance, NUMBER))
     if cloud_free.views != measurements.views:
         raise DataError("the cloud-free images are not of the measurements' views: render them with the same ones")
     if not (contrast >= 0 and significance >= 0):
@@ -192,6 +195,7 @@ def carve(
     ------
     DataError : as `cloudy_pixels`
     """
+    require_kinds("carve", grid=(grid, a(Grid)))
     cloudy = cloudy_pixels(measurements, cloud_free, contrast, significance, grid)
     mask = np.ones(grid.shape, dtype=bool)
     for view, pixels in zip(measurements.views, cloudy):

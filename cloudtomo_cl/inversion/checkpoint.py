@@ -20,6 +20,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
+from cloudtomo_cl.arguments import PATH, require_kinds
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.whole import written_whole
 from cloudtomo_cl.inversion.mixture_file import read_mixtures
@@ -126,6 +127,7 @@ def read_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
     ------
     DataError : no such file, damaged or cut short, or written by another version
     """
+    require_kinds("read_checkpoint", path=(path, PATH))
     path = Path(path)
     if not path.is_file():
         raise DataError(f"{path}: no such file: there is no checkpoint to go on from")

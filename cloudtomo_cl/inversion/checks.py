@@ -10,14 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from cloudtomo_cl.arguments import CALLABLE, PATH, a, many, require_kinds
 from cloudtomo_cl.errors import DataError, DeviceError
 from cloudtomo_cl.inversion.bound_priors import unlike_prior
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, identity_of
 from cloudtomo_cl.inversion.footprint import deep_growth, stage_footprint
-from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser
+from cloudtomo_cl.inversion.priors import PRIOR, AnyPrior, PatchPrior, Regulariser
 from cloudtomo_cl.inversion.run import DIVERGED_DEPTH
 from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
-from cloudtomo_cl.inversion.solvers.protocol import Solver
+from cloudtomo_cl.inversion.solvers.protocol import SOLVER, Solver
 from cloudtomo_cl.inversion.stages import Stage, stages_of
 from cloudtomo_cl.memory import shape_text
 from cloudtomo_cl.opencl.device import Device
@@ -91,6 +92,36 @@ def require_one_question(ranks: Ranks, identity: dict[str, Any]) -> None:
     differ = [name for name in names if len({one[name] for one in asked}) > 1]
     if differ:
         raise DataError(f"ranks were given different {', '.join(differ)}: all call this with the same arguments")
+
+
+MEASUREMENTS = a(Measurements, hint="read_measurements reads one from a file")
+DEVICE = a(Device, hint="choose_device gives one").or_none()
+
+
+def check_kinds(
+    scene: Any,
+    measurements: Any,
+    stages: Any,
+    prior: Any,
+    solver: Any,
+    callback: Any,
+    checkpoint: Any,
+    resume: Any,
+    stop: Any,
+) -> None:
+    """InvalidArgumentError for what `reconstruct` can make nothing of."""
+    require_kinds(
+        "reconstruct",
+        scene=(scene, a(Scene)),
+        measurements=(measurements, MEASUREMENTS),
+        stages=(stages, many(Stage).or_none()),
+        prior=(prior, PRIOR.or_none()),
+        solver=(solver, SOLVER.or_none()),
+        callback=(callback, CALLABLE.or_none()),
+        checkpoint=(checkpoint, PATH.or_(CALLABLE).or_none()),
+        resume=(resume, PATH.or_(a(Checkpoint)).or_none()),
+        stop=(stop, CALLABLE.or_none()),
+    )
 
 
 def check_ends(time_limit: Any, checkpoint_interval: Any, uncertainty: Any) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.arguments import Kind, able
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.renamed import renamed_arguments
@@ -99,3 +100,10 @@ class Regulariser(Protocol):
     def value_and_gradient(self, extinction: np.ndarray, voxels: Voxels) -> tuple[float, np.ndarray]:
         """Value, and gradient in km, for an extinction in km^-1; both arrays have shape (voxels,)."""
         ...
+
+
+# What `prior` may be in functions' arguments.
+PRIOR = Kind(
+    "a PatchPrior or a Prior, or an object with value_and_gradient",
+    lambda value: isinstance(value, (PatchPrior, Prior)) or able("", "value_and_gradient").fits(value),
+)

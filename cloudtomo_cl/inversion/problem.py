@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from numbers import Integral
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cloudtomo_cl.arguments import a, many, require_kinds
 from cloudtomo_cl.blas import with_one_blas_thread
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion.bound_priors import stage_prior
@@ -15,13 +17,13 @@ from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.noise_units import NoiseUnits
 from cloudtomo_cl.inversion.objective import AveragedImage
 from cloudtomo_cl.inversion.pixels import ActivePixels, active_pixels
-from cloudtomo_cl.inversion.priors import AnyPrior, PatchPrior, Regulariser
+from cloudtomo_cl.inversion.priors import PRIOR, AnyPrior, PatchPrior, Regulariser
 from cloudtomo_cl.inversion.stage_prior import StagePrior
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.opencl.devices import choose_device
 from cloudtomo_cl.opencl.driver import device_errors
-from cloudtomo_cl.scene.arrays import unmasked
+from cloudtomo_cl.scene.arrays import as_numbers
 from cloudtomo_cl.scene.grid import Grid, coarsened
 from cloudtomo_cl.scene.masks import checked_mask
 from cloudtomo_cl.scene.measurements import Measurements, check_wavelength
@@ -97,6 +99,14 @@ class Problem:
         DataError : an array does not fit the scene's grid, scene and images are at different wavelengths, no voxel may
             hold cloud, or no pixel sees one
         """
+        require_kinds(
+            "Problem.of",
+            scene=(scene, a(Scene)),
+            measurements=(measurements, a(Measurements)),
+            prior=(prior, PRIOR.or_none()),
+            grid=(grid, many(Integral).or_none()),
+            device=(device, a(Device).or_none()),
+        )
         check_wavelength(scene, measurements)
         device = device or choose_device()
         if mask is None:
@@ -211,7 +221,7 @@ class Problem:
         return next(count for count in (samples, self.samples, self.default_samples) if count is not None)
 
     def _checked(self, x: np.ndarray) -> np.ndarray:
-        x = np.asarray(unmasked(x), float)
+        x = as_numbers(x, "x")
         if x.shape != (len(self.voxels),):
             raise DataError(f"x has shape {x.shape}: it must be ({len(self.voxels)},), the voxels of the mask")
         return x

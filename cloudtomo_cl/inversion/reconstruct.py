@@ -12,10 +12,20 @@ from typing import Any
 
 import numpy as np
 
+from cloudtomo_cl.arguments import require_kinds
 from cloudtomo_cl.inversion.bound_priors import unlike_prior
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, identity_of, read_checkpoint
-from cloudtomo_cl.inversion.checks import by_default, check, check_ends, check_memory, require_one_question, unseen_text
+from cloudtomo_cl.inversion.checks import (
+    DEVICE,
+    by_default,
+    check,
+    check_ends,
+    check_kinds,
+    check_memory,
+    require_one_question,
+    unseen_text,
+)
 from cloudtomo_cl.inversion.priors import AnyPrior, Regulariser
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.records import History, IterationRecord, Reconstruction
@@ -126,21 +136,24 @@ def reconstruct(
     Raises
     ------
     DataError : an array does not fit the scene's grid, no pixel sees the mask, a number is out of range, the
-        checkpoint is of another run (the error names what differs) or cannot be written
+        checkpoint is of another run (the error names what differs) or cannot be written; an argument is of another kind
+        (InvalidArgumentError)
     TransportError : a radiance, a gradient or an extinction is not finite, or diverged
     DeviceError : the device failed or has not enough memory
     """
+    require_kinds("reconstruct", device=(device, DEVICE))
     device = device or choose_device()
-    prior, solver = by_default(prior, solver)
     ranks = device.ranks
 
     def checked() -> Checkpoint | None:
+        check_kinds(scene, measurements, stages, prior, solver, callback, checkpoint, resume, stop)
         check_ends(time_limit, checkpoint_interval, uncertainty)
         own = resume if isinstance(resume, Checkpoint) or resume is None else read_checkpoint(resume)
         check(scene, measurements, stages, prior, solver, mask=mask, device=device, seed=seed, truth=truth, resume=own)
         return own
 
     resumed = ranks.together(checked)
+    prior, solver = by_default(prior, solver)
     stages = stages_of(scene.grid, stages, solver)
     given = np.empty(0) if mask is None else checked_mask(mask, scene.grid)
     require_one_question(ranks, identity_of(scene, measurements, stages, prior, solver, given, truth, seed))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cloudtomo_cl.arguments import a, require_kinds
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.masks import checked_mask
 
@@ -28,6 +29,7 @@ class Voxels:
     mask: np.ndarray
 
     def __post_init__(self) -> None:
+        require_kinds("Voxels", grid=(self.grid, a(Grid)))
         object.__setattr__(self, "mask", checked_mask(self.mask, self.grid))
 
     def __len__(self) -> int:

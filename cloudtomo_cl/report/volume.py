@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cloudtomo_cl.arguments import a, able, many, require_kinds
 from cloudtomo_cl.report.directions import angles, round_length, towards_sensor
 from cloudtomo_cl.scene.grid import Grid, resample
 from cloudtomo_cl.scene.scene import Sun, direction
@@ -122,6 +123,13 @@ def plot_volume(
     sun : that lights the cloud; by default it is lit from above, and no sun is drawn
     views : whose directions are drawn, all at one distance
     """
+    require_kinds(
+        "plot_volume",
+        figure=(figure, able("a Figure of Matplotlib", "subplots")),
+        grid=(grid, a(Grid)),
+        sun=(sun, a(Sun).or_none()),
+        views=(views, many(View)),
+    )
     volumes = {"recovered": recovered} if truth is None else {"true": truth, "recovered": recovered}
     half = float(np.linalg.norm(grid.extent)) / 2
     for panel, (name, volume) in zip(np.ravel(figure.subplots(1, len(volumes))), volumes.items()):

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from cloudtomo_cl.errors import InvalidArgumentError
+
 # Orders of named dimensions in this package's arrays. (Its files, as CF recommends, have z first.)
 _ORDERS = (("x", "y", "z"), ("row", "column"), ("view", "row", "column"))
 
@@ -21,3 +23,18 @@ def unmasked(values: Any) -> np.ndarray:
             values = values.astype(np.float64)
         return np.ma.filled(values, np.nan)
     return np.asarray(values)
+
+
+def as_numbers(values: Any, name: str) -> np.ndarray:
+    """As `unmasked`, in double precision. InvalidArgumentError if they are no numbers.
+
+    name : what errors call the array
+    """
+    array = unmasked(values)
+    try:
+        return array.astype(np.float64, copy=False)
+    except (TypeError, ValueError):
+        kind = type(values).__name__
+        raise InvalidArgumentError(
+            f"{name} is of type {kind} and holds no numbers: it must be an array of them"
+        ) from None

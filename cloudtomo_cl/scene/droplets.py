@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from cloudtomo_cl.arguments import a, require_kinds
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.scene.arrays import unmasked
+from cloudtomo_cl.scene.arrays import as_numbers
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
 
 # Density of liquid water, g m^-3.
@@ -103,7 +104,7 @@ def extinction_from_water(
 
 def _together(**given: Any) -> list[np.ndarray]:
     """Arrays of one shape, double precision. DataError if their shapes do not belong together."""
-    arrays = {name: np.asarray(unmasked(values), np.float64) for name, values in given.items()}
+    arrays = {name: as_numbers(values, name) for name, values in given.items()}
     try:
         return list(np.broadcast_arrays(*arrays.values()))
     except ValueError:
@@ -149,6 +150,7 @@ def extinction_at(
 
 def _efficiency(radius: np.ndarray, table: DropletTable | None) -> np.ndarray | float:
     """Extinction efficiencies of droplets, linear in the radius; without a table the limit of large ones."""
+    require_kinds("table of droplets", table=(table, a(DropletTable, hint="read_droplet_table reads one").or_none()))
     if table is None or not radius.size:
         return GEOMETRIC_EXTINCTION_EFFICIENCY
     nodes = table.phase_function.effective_radius

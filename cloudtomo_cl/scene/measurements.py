@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any, Protocol
 
 import numpy as np
 
+from cloudtomo_cl.arguments import NUMBER, Kind, a, able, many, require_kinds
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.renamed import renamed_attributes
 from cloudtomo_cl.scene.arrays import unmasked
@@ -30,6 +32,9 @@ _ERRORS_OF_VIEWS = {
     "pointing_errors": (10.0, "at least 0, below 10 degrees"),
     "position_errors": (float("inf"), "at least 0 km, and finite"),
 }
+
+
+ONE_FOR_EACH = Kind("a tuple or list, an array for each view", lambda value: many(object).fits(value))
 
 
 class _Renders(Protocol):
@@ -77,13 +82,20 @@ class Measurements:
         The standard errors are pooled over neighbours (`pixel_errors`): as error bars and as weights they hold, and
         the rendering's, from a single pixel's few paths, do not.
         """
+        require_kinds(
+            "Measurements.rendered",
+            operator=(operator, able("a RadianceOperator", "images")),
+            rendering=(rendering, Kind("a Rendering", lambda one: hasattr(one, "standard_error"))),
+        )
         images, errors = (operator.images(values) for values in (rendering.mean, rendering.standard_error))
         samples = operator.images(np.broadcast_to(np.asarray(rendering.samples, np.float64), rendering.mean.shape))
         pooled = tuple(map(pooled_standard_errors, errors, samples))
         return cls(operator.views, tuple(images), pooled, wavelength=operator.scene.wavelength)
 
     def __post_init__(self) -> None:
+        require_kinds("Measurements", views=(self.views, many(View)), wavelength=(self.wavelength, NUMBER.or_none()))
         for name in ("images", "standard_errors"):
+            require_kinds("Measurements", **{name: (getattr(self, name), ONE_FOR_EACH)})
             object.__setattr__(self, name, tuple(_radiances(array, name) for array in getattr(self, name)))
         if not self.views:
             raise DataError("measurements: there is no view: at least one image is needed")
@@ -113,8 +125,9 @@ class Measurements:
                 if bad.all():
                     raise DataError(f"measurements: all pixels of view {index} are bad: leave the view out")
         for name, (below, allowed) in _ERRORS_OF_VIEWS.items():
-            values = getattr(self, name) or (0.0,) * len(self.views)
-            object.__setattr__(self, name, tuple(values))
+            require_kinds("Measurements", **{name: (getattr(self, name), many(Real))})
+            values = tuple(getattr(self, name)) or (0.0,) * len(self.views)
+            object.__setattr__(self, name, values)
             if len(values) != len(self.views):
                 raise DataError(f"measurements: {len(values)} {name}, {len(self.views)} views")
             for index, value in enumerate(values):
@@ -222,6 +235,7 @@ class Measurements:
 
     def differences(self, modelled: Measurements) -> list[np.ndarray]:
         """Modelled minus measured radiance over the standard error of the difference; NaN where unknown or invalid."""
+        require_kinds("Measurements.differences", modelled=(modelled, a(Measurements)))
         differences = []
         for index, image in enumerate(self.images):
             error = np.hypot(self.standard_errors[index], modelled.standard_errors[index])

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.scene.arrays import unmasked
+from cloudtomo_cl.scene.arrays import as_numbers
 
 
 def _checked(estimate: Any, truth: Any) -> tuple[np.ndarray, np.ndarray, float]:
     """Both arrays in double precision, and the optical mass of the truth."""
-    estimate, truth = (np.asarray(unmasked(values), dtype=np.float64) for values in (estimate, truth))
+    estimate, truth = as_numbers(estimate, "estimate"), as_numbers(truth, "truth")
     if estimate.shape != truth.shape:
         raise DataError(
             f"estimate has shape {estimate.shape}, truth {truth.shape}: "

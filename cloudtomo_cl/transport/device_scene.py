@@ -11,7 +11,7 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.missing import require_present
 from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.opencl.layout import scene_struct
-from cloudtomo_cl.scene.arrays import unmasked
+from cloudtomo_cl.scene.arrays import as_numbers, unmasked
 from cloudtomo_cl.scene.masks import checked_mask
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
 from cloudtomo_cl.scene.scene import Scene, Surface
@@ -171,7 +171,7 @@ def table_rows(scene: Scene, effective_radius: np.ndarray | None) -> tuple[np.nd
             f"the phase function has {len(phase.values)} effective radii: give cloud.effective_radius, or the "
             "effective_radius of every voxel (micrometres)"
         )
-    radius = np.asarray(unmasked(radius), dtype=float)
+    radius = as_numbers(radius, "effective_radius")
     if radius.ndim and radius.shape != scene.grid.shape:
         raise DataError(f"effective_radius has shape {radius.shape}, the grid {scene.grid.shape}")
     least, most = phase.effective_radius[0], phase.effective_radius[-1]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cloudtomo_cl.arguments import a, require_kinds
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.opencl.devices import choose_device
@@ -73,6 +74,9 @@ class Fluxes:
 
     def domain_mean(self, name: str) -> Estimate:
         """The mean over all columns, two floats, of "reflected", "direct", "diffuse", "transmitted" or "absorbed"."""
+        known = ("transmitted", *(flux.lower() for flux in FLUXES))
+        if name not in known:
+            raise DataError(f"domain_mean: name is {name!r}: it must be one of {', '.join(known)}")
         return self._of(("DIRECT", "DIFFUSE") if name == "transmitted" else (name.upper(),), mean=True)
 
     def _of(self, names: tuple[str, ...], mean: bool) -> Estimate:
@@ -123,6 +127,7 @@ class FluxOperator:
     def __init__(
         self, scene: Scene, device: Device | None = None, *, effective_radius: np.ndarray | None = None
     ) -> None:
+        require_kinds("FluxOperator", scene=(scene, a(Scene)), device=(device, a(Device).or_none()))
         if scene.boundary.horizontal == "open" and not can_be_open(scene):
             raise DataError(
                 "fluxes with open sides over a reflecting surface, or in air that goes on beside the grid, would need "

@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from cloudtomo_cl.arguments import CALLABLE, NUMBER, a, many, require_kinds
 from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.memory import voxels_of
 from cloudtomo_cl.opencl.arrays import DeviceArray
@@ -82,6 +83,13 @@ class RadianceOperator:
         truncation: float | None = None,
         mask: np.ndarray | None = None,
     ) -> None:
+        require_kinds(
+            "RadianceOperator",
+            scene=(scene, a(Scene)),
+            views=(views, many(View)),
+            device=(device, a(Device).or_none()),
+            truncation=(truncation, NUMBER.or_none()),
+        )
         if not views:
             raise DataError("no view: a scene needs at least one to be rendered")
         if truncation is not None and not truncation > 0:
@@ -135,6 +143,7 @@ class RadianceOperator:
         TransportError : a radiance is not finite
         AuditError : energy was lost or gained (see `Audit.check`)
         """
+        require_kinds("RadianceOperator.render", progress=(progress, CALLABLE.or_none()))
         at_once = min(self.ranks.all(pixels_at_once(self.device, voxels_of(self.scene.grid.shape), len(self.pixels))))
         if at_once < len(self.pixels) and not store_paths:
             options = {"seed": seed, "stream": stream, "first_sample": first_sample}
@@ -273,6 +282,7 @@ class RadianceOperator:
         AuditError : paths bring other radiances than before
         TransportError : a voxel's sum has overflowed
         """
+        require_kinds("RadianceOperator.gradient", rendering=(rendering, a(Rendering)))
         if rendering._launches is None:
             raise DataError("this rendering kept no paths: render with store_paths=True (a copy of one has none)")
         adjoint = np.asarray(adjoint)

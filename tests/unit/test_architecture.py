@@ -12,8 +12,8 @@ import pytest
 TOP = Path(__file__).parents[2]
 # Lower rooms first: nothing imports from a higher one, also where it is for types alone.
 ROOMS = (
-    "errors", "renamed", "messages", "memory", "versions", "blas", "parallel", "scene", "reference", "opencl",
-    "files", "transport", "clouds", "inversion", "validation", "settings", "report", "commands",
+    "errors", "renamed", "arguments", "messages", "memory", "versions", "blas", "parallel", "scene", "reference",
+    "opencl", "files", "transport", "clouds", "inversion", "validation", "settings", "report", "commands",
 )  # fmt: skip
 # Packages that only some files know.
 KNOWN_BY = {

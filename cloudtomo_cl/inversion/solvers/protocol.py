@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from cloudtomo_cl.arguments import able
 from cloudtomo_cl.errors import TransportError
 from cloudtomo_cl.inversion.problem import Problem
 
@@ -53,6 +54,10 @@ class Solver(Protocol):
         A state may be used for one step only: arrays too large to be copied are passed on to the next state.
         """
         ...
+
+
+# What `solver` may be in functions' arguments.
+SOLVER = able("a solver, for instance GaussNewton() or Adam(), or an object with init and step", "init", "step")
 
 
 def check_gradient(gradient: np.ndarray, problem: Problem, stream: int) -> None:
