@@ -13,6 +13,7 @@ import numpy as np
 from cloudtomo_cl.arguments import CALLABLE, PATH, a, many, require_kinds
 from cloudtomo_cl.errors import DataError, DeviceError
 from cloudtomo_cl.inversion.bound_priors import unlike_prior
+from cloudtomo_cl.inversion.brightness import brightness_text
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, identity_of
 from cloudtomo_cl.inversion.footprint import deep_growth, stage_footprint
 from cloudtomo_cl.inversion.priors import PRIOR, AnyPrior, PatchPrior, Regulariser
@@ -64,6 +65,7 @@ def check(
     stages = stages_of(scene.grid, stages, solver)
     checked_seed(seed)
     check_wavelength(scene, measurements)
+    brightness_text(scene, measurements)  # which refuses what no cloud can be
     unlike_prior(prior, scene.grid)  # which reads its file
     if truth is not None and np.shape(truth) != scene.grid.shape:
         raise DataError(f"truth has shape {np.shape(truth)}, the grid {scene.grid.shape}")

@@ -13,6 +13,7 @@ from cloudtomo_cl.arguments import a, many, require_kinds
 from cloudtomo_cl.blas import with_one_blas_thread
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion.bound_priors import stage_prior
+from cloudtomo_cl.inversion.brightness import brightness_text
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.noise_units import NoiseUnits
 from cloudtomo_cl.inversion.objective import AveragedImage
@@ -96,8 +97,8 @@ class Problem:
 
         Raises
         ------
-        DataError : an array does not fit the scene's grid, scene and images are at different wavelengths, no voxel may
-            hold cloud, or no pixel sees one
+        DataError : an array does not fit the scene's grid, scene and images are at different wavelengths, the images
+            are far brighter or darker than clouds can be, no voxel may hold cloud, or no pixel sees one
         """
         require_kinds(
             "Problem.of",
@@ -108,6 +109,7 @@ class Problem:
             device=(device, a(Device).or_none()),
         )
         check_wavelength(scene, measurements)
+        brightness_text(scene, measurements)  # which refuses what no cloud can be
         device = device or choose_device()
         if mask is None:
             mask = carved_mask(scene, measurements, device)

@@ -14,6 +14,7 @@ import numpy as np
 
 from cloudtomo_cl.arguments import require_kinds
 from cloudtomo_cl.inversion.bound_priors import unlike_prior
+from cloudtomo_cl.inversion.brightness import brightness_text
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, identity_of, read_checkpoint
 from cloudtomo_cl.inversion.checks import (
@@ -130,14 +131,14 @@ def reconstruct(
     uncertainty : draws that the standard error is made of, at the end, in the time of an iteration or two; 0: none.
         Known with Gauss-Newton, when the last stage was reached, the images' noise is known, and nobody asked to stop
 
-    Warns of voxels of a shape that the patch prior was not learnt from, of memory that a deep cloud may not find, and
-    of voxels that may hold cloud and are in no image (RuntimeWarning).
+    Warns of voxels of a shape that the patch prior was not learnt from, of memory that a deep cloud may not find, of
+    images too dark to show a cloud, and of voxels that may hold cloud and are in no image (RuntimeWarning).
 
     Raises
     ------
     DataError : an array does not fit the scene's grid, no pixel sees the mask, a number is out of range, the
-        checkpoint is of another run (the error names what differs) or cannot be written; an argument is of another kind
-        (InvalidArgumentError)
+        images are far brighter or darker than clouds can be, the checkpoint is of another run (the error names what
+        differs) or cannot be written; an argument is of another kind (InvalidArgumentError)
     TransportError : a radiance, a gradient or an extinction is not finite, or diverged
     DeviceError : the device failed or has not enough memory
     """
@@ -163,7 +164,7 @@ def reconstruct(
         mask = carved_mask(scene, measurements, device) if resumed is None else resumed.mask
     question = _Question(scene, measurements, prior, checked_mask(mask, scene.grid), device)
     tight = ranks.together(lambda: check_memory(scene, measurements, stages, device, solver, question.mask))
-    for text in (tight, unseen_text(scene, measurements, question.mask)):
+    for text in (tight, brightness_text(scene, measurements), unseen_text(scene, measurements, question.mask)):
         if ranks.is_first and text:
             warnings.warn(text, RuntimeWarning, stacklevel=3)
     identity = identity_of(scene, measurements, stages, prior, solver, question.mask, truth, seed)

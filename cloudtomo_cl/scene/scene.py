@@ -88,10 +88,11 @@ class Air:
 
     Attributes
     ----------
-    extinction : extinction of the molecules, km^-1, constant, or one value for each layer from the lowest up
+    extinction : extinction of the molecules, km^-1, constant, or one value for each layer from the lowest up; without
+        levels these are layers of equal height that fill the grid's, as many as there are values
     single_scattering_albedo : single-scattering albedo of the molecules, 0 to 1
     levels : heights of the layers' faces above the ground, km, from the lowest up, one more than layers; by
-        default the layers are those of the grid's voxels
+        default the layers fill the height of the grid
     wavelength : wavelength, nm; in place of extinction, it gives that of a standard atmosphere
         (`rayleigh_optical_depth`, falling with a scale height of 8 km)
     """

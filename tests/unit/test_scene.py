@@ -34,3 +34,10 @@ def first_principles(wavelength):
 def test_rayleigh_optical_depth_is_that_of_first_principles(wavelength):
     """The fit's own error: 0.01 % from 250 to 850 nm, say its authors."""
     assert rayleigh_optical_depth(wavelength) == pytest.approx(first_principles(wavelength), rel=3e-4)
+
+
+def test_values_of_air_without_levels_are_of_layers_of_equal_height():
+    """On whatever layers the grid has, also those of a coarser stage."""
+    air = Air(extinction=(1.0, 2.0, 3.0))
+    assert np.allclose(air.profile(Grid((2, 2, 6), (0.1, 0.1, 0.1))), [1, 1, 2, 2, 3, 3])
+    assert np.allclose(air.profile(Grid((2, 2, 2), (0.1, 0.1, 0.3))), [4 / 3, 8 / 3])
