@@ -27,10 +27,9 @@ from cloudtomo_cl.files.netcdf import is_netcdf
 from cloudtomo_cl.files.stored_settings import read_settings
 from cloudtomo_cl.files.truth import read_truth
 from cloudtomo_cl.inversion.bound_priors import unlike_prior
-from cloudtomo_cl.inversion.brightness import brightness_text
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint
-from cloudtomo_cl.inversion.checks import check, check_memory, unseen_text
+from cloudtomo_cl.inversion.checks import check, check_memory, doubtful_texts
 from cloudtomo_cl.inversion.outliers import outlier_text
 from cloudtomo_cl.inversion.reconstruct import reconstruct
 from cloudtomo_cl.inversion.records import COLUMNS, IterationRecord, Reconstruction
@@ -216,7 +215,7 @@ def execute(job: Job) -> Outcome:
     try:
         with warnings.catch_warnings(), ReconstructionProgress(job.console, job.settings.run.time_limit) as show:
             # These are told already.
-            told = r"the prior was learnt|a reconstruction with|\d+% of the voxels|the images' largest radiance"
+            told = r"the prior was learnt|a reconstruction with|the images' largest|pixels seem to|\d+% of the voxels"
             warnings.filterwarnings("ignore", told, RuntimeWarning)
             show.go_on(before)
 
@@ -282,10 +281,8 @@ def _say_what_is_doubtful(job: Job, mask: np.ndarray) -> None:
     given = job.scene, job.measurements, stages_of(job.scene.grid, job.settings.stage, job.settings.solver)
     if tight := ranks.current().together(lambda: check_memory(*given, job.device, job.settings.solver, mask)):
         job.say(tight)
-    if dark := brightness_text(job.scene, job.measurements):
-        job.say(dark)
-    if unseen := unseen_text(job.scene, job.measurements, mask):
-        job.say(unseen)
+    for text in filter(None, doubtful_texts(job.scene, job.measurements, mask)):
+        job.say(text)
 
 
 def _carve(job: Job) -> np.ndarray:

@@ -21,6 +21,7 @@ from cloudtomo_cl.inversion.run import DIVERGED_DEPTH
 from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.inversion.solvers.protocol import SOLVER, Solver
 from cloudtomo_cl.inversion.stages import Stage, stages_of
+from cloudtomo_cl.inversion.stuck_pixels import stuck_text
 from cloudtomo_cl.memory import shape_text
 from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.parallel.ranks import Ranks
@@ -155,6 +156,15 @@ def _check_start(grid: Grid, stages: Sequence[Stage], solver: Any) -> None:
                 f"solver.{name} is {value:g} km^-1, an optical depth of {value * edge:.3g} across a voxel of "
                 f"{edge:g} km: it must be below {DIVERGED_DEPTH / edge:.3g} km^-1"
             )
+
+
+def doubtful_texts(scene: Scene, measurements: Measurements, mask: np.ndarray) -> tuple[str, ...]:
+    """What to know about images before a recovery, in words: each of them empty if there is nothing.
+
+    mask : voxels that may hold cloud, bool, shape of the scene's grid
+    """
+    of_images = brightness_text(scene, measurements), stuck_text(scene, measurements)
+    return (*of_images, unseen_text(scene, measurements, mask))
 
 
 def unseen_text(scene: Scene, measurements: Measurements, mask: np.ndarray) -> str:

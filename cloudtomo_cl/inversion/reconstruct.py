@@ -14,7 +14,6 @@ import numpy as np
 
 from cloudtomo_cl.arguments import require_kinds
 from cloudtomo_cl.inversion.bound_priors import unlike_prior
-from cloudtomo_cl.inversion.brightness import brightness_text
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, identity_of, read_checkpoint
 from cloudtomo_cl.inversion.checks import (
@@ -24,8 +23,8 @@ from cloudtomo_cl.inversion.checks import (
     check_ends,
     check_kinds,
     check_memory,
+    doubtful_texts,
     require_one_question,
-    unseen_text,
 )
 from cloudtomo_cl.inversion.priors import AnyPrior, Regulariser
 from cloudtomo_cl.inversion.problem import Problem
@@ -132,7 +131,8 @@ def reconstruct(
         Known with Gauss-Newton, when the last stage was reached, the images' noise is known, and nobody asked to stop
 
     Warns of voxels of a shape that the patch prior was not learnt from, of memory that a deep cloud may not find, of
-    images too dark to show a cloud, and of voxels that may hold cloud and are in no image (RuntimeWarning).
+    images too dark to show a cloud, of pixels that seem to be saturated or stuck, and of voxels that may hold cloud and
+    are in no image (RuntimeWarning).
 
     Raises
     ------
@@ -164,7 +164,7 @@ def reconstruct(
         mask = carved_mask(scene, measurements, device) if resumed is None else resumed.mask
     question = _Question(scene, measurements, prior, checked_mask(mask, scene.grid), device)
     tight = ranks.together(lambda: check_memory(scene, measurements, stages, device, solver, question.mask))
-    for text in (tight, brightness_text(scene, measurements), unseen_text(scene, measurements, question.mask)):
+    for text in (tight, *doubtful_texts(scene, measurements, question.mask)):
         if ranks.is_first and text:
             warnings.warn(text, RuntimeWarning, stacklevel=3)
     identity = identity_of(scene, measurements, stages, prior, solver, question.mask, truth, seed)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from cloudtomo_cl.scene.scene import Sun, rayleigh_optical_depth
+from cloudtomo_cl.scene.grid import Grid
+from cloudtomo_cl.scene.scene import Air, Sun, rayleigh_optical_depth
 
 
 @pytest.mark.parametrize(
