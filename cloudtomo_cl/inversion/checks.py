@@ -33,8 +33,9 @@ from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.seeds import checked_seed
 from cloudtomo_cl.scene.visibility import voxels_in_view
 
-# Optical depth along a mean chord of the domain that a start given by the user has at least.
-_LEAST_START = 1e-3
+# Optical depth along a mean chord of the domain that a start given by the user has at least, and at most: no cloud is
+# deeper than that on average, and the first iteration, which no time limit cuts short, takes time in proportion to it.
+_LEAST_START, _MOST_START = 1e-3, 1000.0
 # Largest share of the voxels that may hold cloud, but are in no image, of which nothing is said.
 _LARGEST_UNSEEN = 0.01
 # What to do where memory is short.
@@ -143,10 +144,15 @@ def _check_start(grid: Grid, stages: Sequence[Stage], solver: Any) -> None:
     From that no step comes away: its images say nothing, and a prior that is measured by it forbids everything else.
     """
     start, chord = getattr(solver, "start", None), mean_chord(grid.extent)
-    if start is not None and start * chord < _LEAST_START:
+    if start is not None and not _LEAST_START <= start * chord <= _MOST_START:
+        bound = (
+            f"at least {_LEAST_START / chord:.3g}"
+            if start * chord < _LEAST_START
+            else f"at most {_MOST_START / chord:.3g}"
+        )
         raise DataError(
             f"solver.start is {start:g} km^-1, an optical depth of {start * chord:.3g} across the domain: it must be "
-            f"at least {_LEAST_START / chord:.3g} km^-1; without it recoveries begin with what the images say"
+            f"{bound} km^-1; without it recoveries begin with what the images say"
         )
     edge = max(max(grid.with_shape(stage.grid).spacing) for stage in stages)
     for name in ("start", "floor"):

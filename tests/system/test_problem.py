@@ -183,7 +183,9 @@ def test_an_own_prior_of_another_shape_is_refused(scene, measurements, device, t
 
 
 def test_what_is_no_prior_is_refused(scene, measurements, device, truth):
-    with pytest.raises(DataError, match="prior is a float: give a PatchPrior, a Prior, or an object with"):
+    with pytest.raises(
+        DataError, match="prior is 3.0, of type float: it must be a PatchPrior or a Prior, or an object with"
+    ):
         recover(scene, measurements, device, mask=truth > 0, prior=3.0)
 
 
