@@ -14,6 +14,7 @@ from .errors import (
     InvalidArgumentError,
     InvalidSettingError,
     MissingPackageError,
+    RecoveryWarning,
     SettingsError,
     TransportError,
 )
@@ -109,6 +110,7 @@ __all__ = [
     "RayView",
     "ReadingOptions",
     "Reconstruction",
+    "RecoveryWarning",
     "Regulariser",
     "Rendering",
     "RingOfViews",

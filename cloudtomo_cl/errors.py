@@ -42,6 +42,10 @@ class InvalidArgumentError(DataError, TypeError):
     """An argument of a function is of another kind than the function takes, for instance a name in place of images."""
 
 
+class RecoveryWarning(RuntimeWarning):
+    """What to know of a recovery before it starts, of images, memory or prior, although nothing of it is refused."""
+
+
 class TransportError(CloudtomoError):
     """A rendered radiance or a gradient is not finite."""
 

@@ -21,7 +21,7 @@ from cloudtomo_cl.commands.provenance import describe_device, digest, source, ve
 from cloudtomo_cl.commands.reporting import make_report
 from cloudtomo_cl.commands.run_folder import RunFolder
 from cloudtomo_cl.commands.stopping import exit_status
-from cloudtomo_cl.errors import DataError, DeviceError, Interrupted, SettingsError
+from cloudtomo_cl.errors import DataError, DeviceError, Interrupted, RecoveryWarning, SettingsError
 from cloudtomo_cl.files.measurements import read_measurements
 from cloudtomo_cl.files.netcdf import is_netcdf
 from cloudtomo_cl.files.stored_settings import read_settings
@@ -214,9 +214,7 @@ def execute(job: Job) -> Outcome:
     stop.answer = "finishing the iteration"
     try:
         with warnings.catch_warnings(), ReconstructionProgress(job.console, job.settings.run.time_limit) as show:
-            # These are told already.
-            told = r"the prior was learnt|a reconstruction with|the images' largest|pixels seem to|\d+% of the voxels"
-            warnings.filterwarnings("ignore", told, RuntimeWarning)
+            warnings.simplefilter("ignore", RecoveryWarning)  # what they say is told already
             show.go_on(before)
 
             def record(iteration: IterationRecord) -> None:

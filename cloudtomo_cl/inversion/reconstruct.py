@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from cloudtomo_cl.arguments import require_kinds
+from cloudtomo_cl.errors import RecoveryWarning
 from cloudtomo_cl.inversion.bound_priors import unlike_prior
 from cloudtomo_cl.inversion.carving import carved_mask
 from cloudtomo_cl.inversion.checkpoint import Checkpoint, Checkpoints, identity_of, read_checkpoint
@@ -132,7 +133,7 @@ def reconstruct(
 
     Warns of voxels of a shape that the patch prior was not learnt from, of memory that a deep cloud may not find, of
     images too dark to show a cloud, of pixels that seem to be saturated or stuck, and of voxels that may hold cloud and
-    are in no image (RuntimeWarning).
+    are in no image (RecoveryWarning).
 
     Raises
     ------
@@ -159,14 +160,14 @@ def reconstruct(
     given = np.empty(0) if mask is None else checked_mask(mask, scene.grid)
     require_one_question(ranks, identity_of(scene, measurements, stages, prior, solver, given, truth, seed))
     if ranks.is_first and (unlike := unlike_prior(prior, scene.grid)):
-        warnings.warn(unlike, RuntimeWarning, stacklevel=3)  # of who calls, by way of `renamed_arguments`
+        warnings.warn(unlike, RecoveryWarning, stacklevel=3)  # of who calls, by way of `renamed_arguments`
     if mask is None:
         mask = carved_mask(scene, measurements, device) if resumed is None else resumed.mask
     question = _Question(scene, measurements, prior, checked_mask(mask, scene.grid), device)
     tight = ranks.together(lambda: check_memory(scene, measurements, stages, device, solver, question.mask))
     for text in (tight, *doubtful_texts(scene, measurements, question.mask)):
         if ranks.is_first and text:
-            warnings.warn(text, RuntimeWarning, stacklevel=3)
+            warnings.warn(text, RecoveryWarning, stacklevel=3)
     identity = identity_of(scene, measurements, stages, prior, solver, question.mask, truth, seed)
     run = Run(stages, question.mask) if resumed is None else Run.resumed(stages, question.mask, resumed)
     keeper = KeepCheckpoints(Checkpoints(checkpoint, checkpoint_interval, ranks), identity, device.name)

@@ -53,7 +53,7 @@ def test_radiances_whose_squares_are_no_numbers_are_refused(device, factor):
 
 def test_images_that_are_much_too_dark_are_warned_of(device):
     measured, stages = times(images(scene(), device), 1e-6), [ct.Stage(grid=(4, 4, 4), iterations=1, samples=4)]
-    with pytest.warns(RuntimeWarning, match="no cloud that can be seen is so dark: check the radiances' unit"):
+    with pytest.warns(ct.RecoveryWarning, match="no cloud that can be seen is so dark: check the radiances' unit"):
         ct.reconstruct(scene(), measured, stages, mask=CLOUD > 0, device=device, uncertainty=0)
 
 

@@ -119,7 +119,7 @@ def test_python_warns_of_a_prior_of_voxels_of_another_shape(device):
     operator = ct.RadianceOperator(scene, [ct.OrthographicView(zenith=0, azimuth=0, width=0.6, pixels=(6, 6))], device)
     images = ct.Measurements.rendered(operator, operator.render(np.full(grid.shape, 9.0), 16))
     once = [ct.Stage(grid=grid.shape, samples=8, iterations=1)]
-    with pytest.warns(RuntimeWarning, match="0.1 times as high as wide: it takes those of 0.5"):
+    with pytest.warns(ct.RecoveryWarning, match="0.1 times as high as wide: it takes those of 0.5"):
         ct.reconstruct(scene, images, once, device=device, uncertainty=0)
 
 

@@ -121,7 +121,7 @@ def test_so_does_a_recovery_in_python(device, monkeypatch):
     stage, mask = ct.Stage(grid=GRID.shape, iterations=1, samples=4), np.ones(GRID.shape, bool)
     needed = stage_footprint(SCENE, images, stage, ct.GaussNewton(), mask)
     monkeypatch.setattr(memory, "free_memory", lambda: 1.01 * (needed.device + needed.host + needed.stored))
-    with pytest.warns(RuntimeWarning, match="a reconstruction with 4 x 4 x 4 voxels .* of a very deep cloud, needs"):
+    with pytest.warns(ct.RecoveryWarning, match="4 x 4 x 4 voxels .* of a very deep cloud, needs"):
         ct.reconstruct(SCENE, images, [stage], ct.Prior(), mask=mask, device=device, uncertainty=0)
 
 

@@ -93,5 +93,5 @@ def test_lists_of_rays_are_left_alone():
 def test_a_recovery_warns(images, device):
     clipped = replace(images, images=tuple(np.minimum(one, np.percentile(one, 97)) for one in images.images))
     stages = [ct.Stage(grid=(4, 4, 4), iterations=1, samples=4)]
-    with pytest.warns(RuntimeWarning, match="pixels seem to be saturated or stuck: "):
+    with pytest.warns(ct.RecoveryWarning, match="pixels seem to be saturated or stuck: "):
         ct.reconstruct(SCENE, clipped, stages, mask=np.ones(GRID.shape, bool), device=device, uncertainty=0)
