@@ -47,14 +47,8 @@ def a(*classes: Any, hint: str = "") -> Kind:
 
 def many(*classes: Any) -> Kind:
     """A tuple or list of objects of some classes, or another sequence of them."""
-    kinds = tuple(kind for given in classes for kind in _members(given))
-
-    def fits(value: Any) -> bool:
-        if isinstance(value, (str, bytes, dict)) or not (hasattr(value, "__len__") and hasattr(value, "__getitem__")):
-            return False
-        return all(isinstance(one, kinds) for one in value)
-
-    return Kind(f"a tuple or list, each entry {_named(kinds)}", fits)
+    one = a(*classes)
+    return Kind(f"a tuple or list, each entry {one.words}", lambda value: _is_sequence_of(one, value))
 
 
 def able(words: str, *methods: str) -> Kind:
@@ -69,7 +63,17 @@ def able(words: str, *methods: str) -> Kind:
 
 
 CALLABLE = Kind("a function", callable)
-NUMBER = Kind("a number", lambda value: isinstance(value, Real) and not isinstance(value, bool))
+
+
+def _is_number(value: Any) -> bool:
+    """Also one of xarray or NumPy that has no dimension."""
+    if isinstance(value, Real):
+        return not isinstance(value, bool)
+    return getattr(value, "shape", None) == () and getattr(getattr(value, "dtype", None), "kind", "") in tuple("iuf")
+
+
+NUMBER = Kind("a number", _is_number)
+NUMBERS = Kind("a tuple or list of numbers", lambda value: _is_sequence_of(NUMBER, value))
 PATH = Kind("the name of a file, a str or a Path", lambda value: isinstance(value, (str, os.PathLike)))
 
 
@@ -88,6 +92,12 @@ def require_kinds(function: str, **arguments: tuple[Any, Kind]) -> None:
     for name, (value, kind) in arguments.items():
         if not kind.fits(value):
             raise InvalidArgumentError(f"{function}: {name} is {_shown(value)}: it must be {kind.words}")
+
+
+def _is_sequence_of(one: Kind, value: Any) -> bool:
+    if isinstance(value, (str, bytes, dict)) or not (hasattr(value, "__len__") and hasattr(value, "__getitem__")):
+        return False
+    return all(map(one.fits, value))
 
 
 def _members(kind: Any) -> tuple[type, ...]:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from numbers import Real
 from typing import Any, Protocol
 
 import numpy as np
 
-from cloudtomo_cl.arguments import NUMBER, Kind, a, able, many, require_kinds
+from cloudtomo_cl.arguments import NUMBER, NUMBERS, Kind, a, able, many, require_kinds
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.renamed import renamed_attributes
 from cloudtomo_cl.scene.arrays import unmasked
@@ -94,6 +93,8 @@ class Measurements:
 
     def __post_init__(self) -> None:
         require_kinds("Measurements", views=(self.views, many(View)), wavelength=(self.wavelength, NUMBER.or_none()))
+        if self.wavelength is not None:
+            object.__setattr__(self, "wavelength", float(self.wavelength))
         for name in ("images", "standard_errors"):
             require_kinds("Measurements", **{name: (getattr(self, name), ONE_FOR_EACH)})
             object.__setattr__(self, name, tuple(_radiances(array, name) for array in getattr(self, name)))
@@ -125,8 +126,8 @@ class Measurements:
                 if bad.all():
                     raise DataError(f"measurements: all pixels of view {index} are bad: leave the view out")
         for name, (below, allowed) in _ERRORS_OF_VIEWS.items():
-            require_kinds("Measurements", **{name: (getattr(self, name), many(Real))})
-            values = tuple(getattr(self, name)) or (0.0,) * len(self.views)
+            require_kinds("Measurements", **{name: (getattr(self, name), NUMBERS)})
+            values = tuple(map(float, getattr(self, name))) or (0.0,) * len(self.views)
             object.__setattr__(self, name, values)
             if len(values) != len(self.views):
                 raise DataError(f"measurements: {len(values)} {name}, {len(self.views)} views")

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib.figure import Figure
 
 import cloudtomo_cl as ct
@@ -88,3 +89,11 @@ def test_kinds(kind, good, bad):
 def test_a_long_value_is_cut():
     with pytest.raises(ct.InvalidArgumentError, match=r"^f: x is '1{56}\.\.\., of type str: it must be odd$"):
         require_kinds("f", x=("1" * 1000, Kind("odd", lambda value: False)))
+
+
+@pytest.mark.parametrize("number", [np.float32(672), np.array(672.0), xr.DataArray(672.0)])
+def test_numbers_of_numpy_and_xarray_are_numbers(number):
+    ones = [np.ones((4, 4))]
+    images = ct.Measurements(VIEWS, ones, ones, wavelength=number, calibration_errors=[number / 1e4])
+    assert images.wavelength == 672.0 and images.calibration_errors == (pytest.approx(0.0672),)
+    assert type(images.wavelength) is type(images.calibration_errors[0]) is float
