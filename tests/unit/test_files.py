@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -200,7 +201,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
     before = path.read_bytes()
 
     def fails(self, target, **options):
-        target.write_bytes(b"half")
+        Path(target).write_bytes(b"half")
         raise OSError("no space left on device")
 
     monkeypatch.setattr(xr.Dataset, "to_netcdf", fails)
