@@ -88,8 +88,18 @@ def duration(seconds: float) -> str:
     return f"{minutes} min {seconds:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
+# From here on a number is shown with a power of ten.
+_LONGEST = 1e7
+
+
 def with_error(value: float, error: float) -> str:
-    """A number to the last digit that its standard error leaves, and that: 0.01550 ± 0.00002, 130 ± 20."""
+    """A number to the last digit that its standard error leaves, and that: 0.01550 ± 0.00002, 130 ± 20.
+
+    Numbers that are longer than that are in powers of ten: (2.6 ± 0.3)e+16.
+    """
+    if np.isfinite(error) and _LONGEST <= max(abs(value), error) < np.inf:
+        power = int(np.floor(np.log10(max(abs(value), error))))
+        return f"({with_error(value / 10.0**power, error / 10.0**power)})e+{power:02d}"
     if not (0 < error < np.inf and np.isfinite(value)):
         return f"{value:.5g} ± {error:.1g}"
     digits = -int(np.floor(np.log10(error)))

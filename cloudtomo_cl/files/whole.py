@@ -102,7 +102,9 @@ def check_apart(path: Path, inputs: Iterable[Path], option: str = "--output") ->
         with suppress(OSError):
             if os.path.samefile(path, file):
                 also = "" if path == file else f" as {file}"
-                raise DataError(f"{path}: is read{also}, and would be lost: choose another {option}")
+                raise DataError(
+                    f"{path}: this command reads it{also}, and would write over it: choose another {option}"
+                )
 
 
 def remove_abandoned(folder: Path, name: str | None = None) -> None:

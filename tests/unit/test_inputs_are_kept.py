@@ -62,7 +62,7 @@ def test_render_keeps_what_its_scene_names(folder, capsys, name, alias):
         output = "other.nc"
         alias(folder / name, folder / output)
     said = refused(folder, capsys, "render", "scene.toml", "--output", output, "--overwrite")
-    assert f"{output}: is read" in said and "would be lost: choose another --output" in said
+    assert f"{output}: this command reads it" in said and "would write over it: choose another --output" in said
 
 
 @pytest.mark.parametrize(
@@ -79,8 +79,8 @@ def test_render_keeps_what_its_scene_names(folder, capsys, name, alias):
 )
 def test_other_commands_keep_what_they_read(folder, capsys, words):
     os.link(folder / "cloud.nc", folder / "cloud.vti")
-    assert "cloud.nc, and would be lost" in refused(folder, capsys, *words.split(), "--overwrite").replace(
-        "is read, and", "is read as cloud.nc, and"
+    assert "cloud.nc, and would write over it" in refused(folder, capsys, *words.split(), "--overwrite").replace(
+        "reads it, and", "reads it as cloud.nc, and"
     )
 
 
@@ -90,7 +90,9 @@ def test_a_scene_that_a_file_keeps_is_not_replaced_by_its_images(folder, capsys)
         many = ["--samples", "2"] if command == "render" else ["--photons", "100"]
         periodic = ["--set", "boundary.horizontal=periodic"]
         assert main([command, "scene.toml", *many, *periodic, "--output", name, "--quiet"]) == 0
-        assert f"{name}: is read, and" in refused(folder, capsys, command, name, "--output", name, "--overwrite")
+        assert f"{name}: this command reads it, and" in refused(
+            folder, capsys, command, name, "--output", name, "--overwrite"
+        )
 
 
 @pytest.mark.parametrize("option", ["--overwrite", "--resume"])
@@ -98,7 +100,7 @@ def test_a_run_keeps_its_measurements(folder, capsys, option):
     words = ["--set", "boundary.horizontal=periodic", "--samples", "2", "--output", "run/modelled.nc", "--quiet"]
     assert main(["render", "scene.toml", *words]) == 0
     words = ["reconstruct", "run.toml", "--output", "run", "--set", "prior={}", option]
-    assert "modelled.nc: is read, and would be lost" in refused(folder, capsys, *words)
+    assert "modelled.nc: this command reads it, and would write over it" in refused(folder, capsys, *words)
 
 
 def test_all_files_that_settings_name_are_found(folder):

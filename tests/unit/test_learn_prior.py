@@ -215,7 +215,7 @@ MISTAKES = {
     "there already": (lambda folder: cloud(folder, "given.nc") and (folder / "prior.nc").touch(), [],
                       "prior.nc: exists already: choose another --output, or add --overwrite"),
     "over the cloud": (lambda folder: cloud(folder, "given.nc"), ["--output", "given.nc", "--overwrite"],
-                       "given.nc: is read, and would be lost: choose another --output"),
+                       "given.nc: this command reads it, and would write over it: choose another --output"),
 }  # fmt: skip
 
 

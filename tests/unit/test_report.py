@@ -82,6 +82,8 @@ def test_what_is_left_out_is_said():
         (1.0, 0.0975, "1.0 ± 0.1"),
         (-0.04, 0.3, "0.0 ± 0.3"),
         (2.5, 0.0, "2.5 ± 0"),
+        (2.59e16, 3e14, "(2.59 ± 0.03)e+16"),
+        (3.0, 4e8, "(0 ± 4)e+08"),
     ],
 )
 def test_numbers_have_the_digits_that_their_errors_leave(value, error, text):
