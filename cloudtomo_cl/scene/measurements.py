@@ -135,7 +135,7 @@ class Measurements:
                 if not 0 <= value < below:
                     raise DataError(f"measurements: {name} of view {index} is {value}: {allowed}")
         if self.wavelength is not None and not 0 < self.wavelength < np.inf:
-            raise DataError(f"measurements: wavelength is {self.wavelength}: it must be above 0 nm")
+            raise DataError(f"measurements: wavelength is {self.wavelength:g}: it must be above 0 nm")
         for index, error in enumerate(self.standard_errors):
             if (error < 0).any():
                 raise DataError(f"measurements: standard_errors of view {index} are negative: they must be at least 0")
