@@ -17,7 +17,7 @@ _PERCENTILE = 95.0
 # An optical depth of 1e-4 has some 1e-6; what is far below even that has no cloud, and squares that single precision
 # does not hold.
 _FAINT, _FAINTEST = 1e-6, 1e-9
-_LEAST = 1e-15  # W m^-2 sr^-1
+_LEAST = 1e-15  # W m^-2 sr^-1, for any sun: its square is still a number in single precision
 _HINT = "check the radiances' unit, W m^-2 sr^-1, and sun.irradiance, W m^-2 (at which the images were taken)"
 
 
@@ -40,8 +40,8 @@ def brightness_text(scene: Scene, measurements: Measurements) -> str:
             f"of {sun:g} W m^-2: a cloud that reflects all light has some 0.3 times: {_HINT}"
         )
     brightest = max(float(np.nanmax(image)) for image in measurements.images)
-    if not 0 < brightest < _FAINT * sun and not 0 < brightest < _LEAST:
-        return ""  # nothing above 0 is refused elsewhere
+    if not 0 < brightest < max(_FAINT * sun, _LEAST):
+        return ""  # images without a radiance above 0 are refused elsewhere
     text = (
         f"the images' largest radiance is {brightest:.3g} W m^-2 sr^-1, {brightest / sun:.3g} times the sun's "
         f"irradiance of {sun:g} W m^-2, and no cloud that can be seen is so dark: {_HINT}"

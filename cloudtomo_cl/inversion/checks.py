@@ -98,34 +98,25 @@ def require_one_question(ranks: Ranks, identity: dict[str, Any]) -> None:
         raise DataError(f"ranks were given different {', '.join(differ)}: all call this with the same arguments")
 
 
-MEASUREMENTS = a(Measurements, hint="read_measurements reads one from a file")
 DEVICE = a(Device, hint="choose_device gives one").or_none()
+# Of the other arguments of `reconstruct`.
+_KINDS = {
+    "scene": a(Scene),
+    "measurements": a(Measurements, hint="read_measurements reads one from a file"),
+    "stages": many(Stage).or_none(),
+    "prior": PRIOR.or_none(),
+    "solver": SOLVER.or_none(),
+    "callback": CALLABLE.or_none(),
+    "checkpoint": PATH.or_(CALLABLE).or_none(),
+    "resume": PATH.or_(a(Checkpoint)).or_none(),
+    "stop": CALLABLE.or_none(),
+}
 
 
-def check_kinds(
-    scene: Any,
-    measurements: Any,
-    stages: Any,
-    prior: Any,
-    solver: Any,
-    callback: Any,
-    checkpoint: Any,
-    resume: Any,
-    stop: Any,
-) -> None:
-    """InvalidArgumentError for what `reconstruct` can make nothing of."""
-    require_kinds(
-        "reconstruct",
-        scene=(scene, a(Scene)),
-        measurements=(measurements, MEASUREMENTS),
-        stages=(stages, many(Stage).or_none()),
-        prior=(prior, PRIOR.or_none()),
-        solver=(solver, SOLVER.or_none()),
-        callback=(callback, CALLABLE.or_none()),
-        checkpoint=(checkpoint, PATH.or_(CALLABLE).or_none()),
-        resume=(resume, PATH.or_(a(Checkpoint)).or_none()),
-        stop=(stop, CALLABLE.or_none()),
-    )
+def check_kinds(*values: Any) -> None:
+    """InvalidArgumentError for arguments that `reconstruct` can make nothing of; they are in the order of _KINDS."""
+    named = zip(_KINDS.items(), values, strict=True)
+    require_kinds("reconstruct", **{name: (value, kind) for (name, kind), value in named})
 
 
 def check_ends(time_limit: Any, checkpoint_interval: Any, uncertainty: Any) -> None:
@@ -145,14 +136,10 @@ def _check_start(grid: Grid, stages: Sequence[Stage], solver: Any) -> None:
     """
     start, chord = getattr(solver, "start", None), mean_chord(grid.extent)
     if start is not None and not _LEAST_START <= start * chord <= _MOST_START:
-        bound = (
-            f"at least {_LEAST_START / chord:.3g}"
-            if start * chord < _LEAST_START
-            else f"at most {_MOST_START / chord:.3g}"
-        )
         raise DataError(
             f"solver.start is {start:g} km^-1, an optical depth of {start * chord:.3g} across the domain: it must be "
-            f"{bound} km^-1; without it recoveries begin with what the images say"
+            f"{_LEAST_START / chord:.3g} to {_MOST_START / chord:.3g} km^-1; "
+            "without it recoveries begin with what the images say"
         )
     edge = max(max(grid.with_shape(stage.grid).spacing) for stage in stages)
     for name in ("start", "floor"):

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from cloudtomo_cl.arguments import Kind, able
+from cloudtomo_cl.arguments import a, able
 from cloudtomo_cl.inversion.voxels import Voxels
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.renamed import renamed_arguments
@@ -103,7 +103,4 @@ class Regulariser(Protocol):
 
 
 # What `prior` may be in functions' arguments.
-PRIOR = Kind(
-    "a PatchPrior or a Prior, or an object with value_and_gradient",
-    lambda value: isinstance(value, (PatchPrior, Prior)) or able("", "value_and_gradient").fits(value),
-)
+PRIOR = a(PatchPrior, Prior).or_(able("an object with value_and_gradient", "value_and_gradient"))

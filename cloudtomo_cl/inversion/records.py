@@ -51,14 +51,6 @@ class IterationRecord:
             return True
         return self.cost - _SIGNIFICANCE * self.cost_standard_error <= _FITTED * self.expected_cost
 
-    @property
-    def fit_text(self) -> str:
-        """How well the images are fitted, in words."""
-        if self.expected_cost is None:
-            return f"cost {self.cost:.3g}"
-        text = f"cost {self.cost:.3g}, {self.expected_cost:.3g} expected by noise"
-        return text if self.is_fitted else f"{text}: the images are not fitted"
-
 
 # A history's columns: unit and meaning.
 COLUMNS = {
@@ -182,7 +174,8 @@ class Reconstruction:
         if self.history:
             last = self.history[-1]
             facts["iterations"] = f"{len(self.history)} in {last.seconds:.0f} s"
-            facts["fit"] = last.fit_text
+            if not last.is_fitted:
+                facts["images"] = "not fitted"
             if last.epsilon is not None:
                 facts["error"] = f"eps {last.epsilon:.3f}"
         depths = self.extinction.sum(axis=2, dtype=float) * self.grid.spacing[2]
@@ -193,7 +186,7 @@ class Reconstruction:
         if self.history:
             last = self.history[-1]
             text += f", {len(self.history)} iterations in {last.seconds:.0f} s"
-            text += f", {last.fit_text}"
+            text += "" if last.is_fitted else ", images not fitted"
             text += "" if last.epsilon is None else f", eps {last.epsilon:.3f}"
         return f"Reconstruction({text})"
 

@@ -9,8 +9,9 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from cloudtomo_cl.arguments import a, able, require_kinds
+from cloudtomo_cl.arguments import a, require_kinds
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.inversion.solvers.protocol import SOLVER
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Count, Grid
@@ -57,8 +58,7 @@ def automatic_stages(grid: Grid, solver: Any = None) -> tuple[Stage, ...]:
     Images have about two pixels per voxel, up to all that were measured. The solver says how many iterations
     a stage has (`GaussNewton`, the default, needs few, a descent many).
     """
-    solvers = able("a solver, for instance Adam()", "init", "step").or_none()
-    require_kinds("automatic_stages", grid=(grid, a(Grid)), solver=(solver, solvers))
+    require_kinds("automatic_stages", grid=(grid, a(Grid)), solver=(solver, SOLVER.or_none()))
     limits = getattr(solver, "stage_limits", _stage_limits)
     longest = max(grid.shape)
     count = max(0, round(np.log(longest / _COARSEST) / np.log(_GROWTH))) + 1

@@ -33,7 +33,7 @@ _ERRORS_OF_VIEWS = {
 }
 
 
-ONE_FOR_EACH = Kind("a tuple or list, an array for each view", lambda value: many(object).fits(value))
+_ONE_FOR_EACH = Kind("a tuple or list, an array for each view", many(object).fits)
 
 
 class _Renders(Protocol):
@@ -96,7 +96,7 @@ class Measurements:
         if self.wavelength is not None:
             object.__setattr__(self, "wavelength", float(self.wavelength))
         for name in ("images", "standard_errors"):
-            require_kinds("Measurements", **{name: (getattr(self, name), ONE_FOR_EACH)})
+            require_kinds("Measurements", **{name: (getattr(self, name), _ONE_FOR_EACH)})
             object.__setattr__(self, name, tuple(_radiances(array, name) for array in getattr(self, name)))
         if not self.views:
             raise DataError("measurements: there is no view: at least one image is needed")
