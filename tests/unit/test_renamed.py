@@ -32,7 +32,7 @@ def test_old_arguments_of_priors_and_stages():
     grid = ct.Grid(shape=(8, 8, 8), spacing=(0.1, 0.1, 0.1))
     with pytest.raises(DataError, match="the argument method is now solver: a GaussNewton, Adam or SGD"):
         ct.automatic_stages(grid, method="adam")
-    with pytest.raises(DataError, match="solver is 'adam', of type str: it must be a solver, for instance Adam"):
+    with pytest.raises(DataError, match="solver is 'adam', of type str: it must be a solver, for instance GaussNewton"):
         ct.automatic_stages(grid, "adam")
 
 
