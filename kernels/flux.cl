@@ -47,7 +47,7 @@ inline void on_interaction(const Medium *medium, const Segment *segment, const F
 {
 }
 
-inline void on_scattering(const Medium *medium, const KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally) {}
+inline void on_scattering(const Medium *medium, KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally) {}
 
 #include "walk/budgeted.h"
 #include "walk/path.h"
@@ -73,6 +73,8 @@ __kernel void trace_photons(TRACE_PHOTONS_PARAMETERS)
             start_path(at, camera_ray(scene, sun_view, 0, &own));
         }
         walks = walk_turn(&medium, at, key, &tally);
+        if (!walks)
+            budget_path(own_budget, tally.sums);
     }
     close_group_budget(group_budget, budget);
 }

@@ -7,6 +7,9 @@ typedef struct {
     float radiance, own_share; /* of radiance.h */
     KEPT Budget *budget;
     BudgetSums sums; /* sums of all paths' budgets */
+#ifdef CLOUDTOMO_BRANCHES
+    Branches branches;
+#endif
 } Tally;
 
 #include "walk/untallied.h"
@@ -35,6 +38,7 @@ __kernel void render_paths(RENDER_PATHS_PARAMETERS)
     Tally tally;
     tally.budget = own_budget;
     tally.sums = group_budget;
+    BRANCHES(tally);
     for (bool walks = false; walks || next_turn(&turn);) {
         if (!walks) {
             path = path_of_item(turn.item, pixel_count, path_count);
@@ -42,13 +46,16 @@ __kernel void render_paths(RENDER_PATHS_PARAMETERS)
             const SampleKey own = sample_key(seed, stream, pixel, first_sample + path / pixel_count);
             tally.radiance = 0.0f;
             tally.own_share = 1.0f;
+            clear_branches(&tally);
             clear_budget(own_budget);
             keep_key(key, &own);
             start_path(at, camera_ray(scene, views + pixel.x, rays, &own));
         }
-        walks = walk_turn(&medium, at, key, &tally);
-        if (!walks)
+        walks = walk_turn(&medium, at, key, &tally) || next_branch(at, key, &tally);
+        if (!walks) {
             path_radiance[path] = tally.radiance;
+            budget_path(own_budget, tally.sums);
+        }
     }
     close_group_budget(group_budget, budget);
 }

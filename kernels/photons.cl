@@ -68,7 +68,7 @@ inline void on_interaction(const Medium *medium, const Segment *segment, const F
 {
 }
 
-inline void on_scattering(const Medium *medium, const KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally) {}
+inline void on_scattering(const Medium *medium, KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally) {}
 
 #include "walk/unbudgeted.h"
 #include "walk/path.h"

@@ -14,10 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cloudtomo_cl.reference.branches import BLOCKS_PER_EVENT, Event
 from cloudtomo_cl.reference.flights import voxel_crossings
 from cloudtomo_cl.reference.paths import (
-    BLOCKS_PER_EVENT,
-    Event,
     VirtualCollision,
     first_ray,
     gather,

@@ -17,14 +17,22 @@ from functools import partial
 
 import numpy as np
 
+from cloudtomo_cl.reference.branches import (
+    BLOCKS_PER_EVENT,
+    BRANCH_VIEW,
+    PATH_ROULETTE_WEIGHT,
+    Branch,
+    Branches,
+    Companions,
+    Event,
+    companions_at,
+)
 from cloudtomo_cl.reference.flights import Flight, camera_ray, fly, met_particle
 from cloudtomo_cl.reference.random import uniforms
 from cloudtomo_cl.reference.scattering import (
     Particle,
     direction_around,
-    droplet_density,
     droplet_in_voxel,
-    henyey_greenstein,
     middle_row,
     sample_droplet,
     scatter,
@@ -34,11 +42,8 @@ from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.sensors import View
 
 # docs/reference/random-numbers.md gives the meaning of these numbers.
-BLOCKS_PER_EVENT = 64
 SUN_VIEW = 2**32 - 1
-PATH_ROULETTE_WEIGHT = 0.1
 LOCAL_ESTIMATE_ROULETTE = 0.03
-SIDE_FLIGHT_RATE, SIDE_FLIGHT_LEAST, SIDE_FLIGHT_MOST = 6.0, 0.05, 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +101,7 @@ def side_flights(
     before: np.ndarray,
     particle: Particle,
     weight: float,
-    count: float,
+    companions: Companions,
     history: np.ndarray,
     number: int,
     random: Iterator[np.ndarray],
@@ -106,18 +111,17 @@ def side_flights(
 ) -> Iterator[Contribution]:
     """The next order's sunlight by `number` flights drawn around the sun (docs/reference/random-numbers.md).
 
-    They share the estimate with the path's own next flight by the balance heuristic
-    (Veach and Guibas 1995); `count` is the mean of `number`. `flown` is called with every flight's direction, length
-    (km) and share of the estimate.
+    They share the estimate with the path's own next flight, and with branches, by the balance heuristic
+    (Veach and Guibas 1995); `companions` has the mean of `number`. `flown` is called with every flight's
+    direction, length (km) and share of the estimate.
     """
     sun, row = scene.sun.direction, middle_row(scene)
     for _ in range(number):
         w, w_next = next(random), next(random)
         direction = direction_around(sun, sample_droplet(scene, row, w[2]), w[3])
-        density = scatter_density(scene, particle, before, direction)
-        if density == 0:
+        share = companions.share_of_side_flight(particle, before, direction)
+        if share == 0:
             continue
-        share = density / (density + count * droplet_density(scene, row, direction @ sun))
         flight = fly(scene, extinction, position, direction, -np.log(w[0]))
         flown(direction, flight.length_from(position), share)
         if not flight.collided:
@@ -154,32 +158,6 @@ class VirtualCollision:
     aside: bool
 
 
-@dataclass(frozen=True, eq=False)
-class Event:
-    """An interaction of a path.
-
-    Attributes
-    ----------
-    number : 1, 2, ...
-    position, direction : km; the direction it comes along
-    particle, albedo : what it met
-    weight : that the path came with
-    survivor : the weight it goes on with, after albedo and roulette; 0 if it ends here
-    onward : the direction it goes on in
-    history : d log(density of the path up to here) / d extinction, km, shape of the grid
-    """
-
-    number: int
-    position: np.ndarray
-    direction: np.ndarray
-    particle: Particle
-    albedo: float
-    weight: float
-    survivor: float
-    onward: np.ndarray
-    history: np.ndarray
-
-
 def walk(
     scene: Scene,
     extinction: np.ndarray,
@@ -190,7 +168,8 @@ def walk(
     leave: Callable[[int, Flight, np.ndarray, float], None] = lambda *_: None,
     virtual: np.ndarray | None = None,
     flown: Callable[[int, np.ndarray, np.ndarray, float, float], None] = lambda *_: None,
-    start: VirtualCollision | None = None,
+    start: VirtualCollision | Branch | None = None,
+    kept: Callable[[Event], float] = lambda _: 1.0,
 ) -> Iterator[Event]:
     """The random walk.
 
@@ -202,11 +181,14 @@ def walk(
         scatters, also on its way to the surface
     virtual : as in `met_particle`
     flown : called with event number, start, direction, length (km) and weight of every flight
-    start : begins with scattering by a droplet there, instead of a flight
+    start : a virtual collision: begins with scattering by a droplet there, instead of a flight; or a branch
+    kept : called with every event where the path goes on: the share of its weight that branches leave to it
 
     Source: docs/reference/random-numbers.md.
     """
     history, weight, number = np.zeros(scene.grid.shape), 1.0, 0
+    if isinstance(start, Branch):
+        history, weight, number, start = start.history, start.weight, start.number, None
     if start is not None:
         weight, number = start.weight, start.number - 1
     while True:
@@ -240,10 +222,11 @@ def walk(
         if survivor < PATH_ROULETTE_WEIGHT:
             survivor = PATH_ROULETTE_WEIGHT if v[1] * PATH_ROULETTE_WEIGHT < survivor else 0.0
         onward = scatter(scene, particle, direction, u[2], u[3])
-        yield Event(number, position, direction, particle, albedo, weight, survivor, onward, history)
+        event = Event(number, position, direction, particle, albedo, weight, survivor, onward, history)
+        yield event
         if survivor == 0:
             return
-        weight, direction = survivor, onward
+        weight, direction = survivor * kept(event), onward
 
 
 def path(
@@ -258,6 +241,7 @@ def path(
     with_side_flights: bool,
     effective_radius: np.ndarray | None = None,
     truncation: float = np.inf,
+    with_branches: bool = False,
 ) -> list[Contribution]:
     """All contributions of one path; their sum is its radiance.
 
@@ -272,12 +256,27 @@ def path(
     Source: Eqs. 1-4, 12, 16; the random numbers are laid out as in docs/reference/random-numbers.md.
     """
 
-    def block(number: int) -> np.ndarray:
-        return uniforms(seed, iteration, view_index, pixel, sample, number)
+    def blocks(view: int) -> Callable[[int], np.ndarray]:
+        return lambda number: uniforms(seed, iteration, view, pixel, sample, number)
 
+    block = blocks(view_index)
     position, direction = first_ray(scene, view, pixel, block(0))
-    events = walk(scene, extinction, effective_radius, position, direction, block)
-    return gather(scene, extinction, effective_radius, events, block, with_side_flights, truncation)
+    if not with_branches:
+        events = walk(scene, extinction, effective_radius, position, direction, block)
+        return gather(scene, extinction, effective_radius, events, block, with_side_flights, truncation)
+    branches, branch, share = Branches(scene), None, 1.0
+    contributions: list[Contribution] = []
+    while True:
+        walked = (position, direction, block)
+        events = walk(scene, extinction, effective_radius, *walked, start=branch, kept=branches.kept)
+        contributions += gather(
+            scene, extinction, effective_radius, events, block, True, truncation, share, branches=branches
+        )
+        branch = branches.next()
+        if branch is None:
+            return contributions
+        position, direction, share = branch.position, branch.direction, branch.share
+        block = blocks(view_index + branches.walked * BRANCH_VIEW)
 
 
 def first_ray(scene: Scene, view: View, pixel: int, jitter: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -298,6 +297,7 @@ def gather(
     virtual: np.ndarray | None = None,
     flown: Callable[[Event, np.ndarray, float, float], None] = lambda *_: None,
     shared: Callable[[Event, float], None] = lambda *_: None,
+    branches: Branches | None = None,
 ) -> list[Contribution]:
     """Local estimates at the events of a walk, and those of side flights.
 
@@ -306,8 +306,9 @@ def gather(
     own_share : of the walk's first flight in the local estimate at its end
     flown : called with the event, direction, length (km) and share of every side flight
     shared : called with the event and the share of the flight that goes on from there
+    branches : to which those are added that begin at the events
     """
-    sun, wide_g = scene.sun.direction, scene.cloud.phase_function.g**2
+    sun = scene.sun.direction
     contributions: list[Contribution] = []
     for event in events:
         if event.particle.kind == "surface":
@@ -323,8 +324,7 @@ def gather(
         )
         own_share = 1.0
         if with_side_flights and event.survivor > 0:
-            count = SIDE_FLIGHT_RATE * event.survivor * henyey_greenstein(event.direction @ sun, wide_g)
-            count = min(max(count, SIDE_FLIGHT_LEAST), SIDE_FLIGHT_MOST)
+            companions = companions_at(scene, event, branches)
             first = BLOCKS_PER_EVENT * event.number + 2
             random = (block(first + n) for n in range(BLOCKS_PER_EVENT - 2))
             contributions.extend(
@@ -336,17 +336,18 @@ def gather(
                     event.direction,
                     event.particle,
                     event.survivor,
-                    count,
+                    companions,
                     event.history,
-                    int(count + v[2]),
+                    int(companions.side_flights + v[2]),
                     random,
                     truncation,
                     virtual,
                     partial(flown, event),
                 )
             )
-            density = scatter_density(scene, event.particle, event.direction, event.onward)
-            own_share = density / (density + count * droplet_density(scene, middle_row(scene), event.onward @ sun))
+            own_share = companions.share_beside_side_flights(event.particle, event.direction, event.onward)
+            if branches is not None:
+                branches.begin(event, companions, v[2], block)
         shared(event, own_share)
     return contributions
 

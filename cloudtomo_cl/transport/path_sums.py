@@ -27,13 +27,12 @@ class PathSums:
     ----------
     pace : of the launches
     features : macros of the scene's kernels
+    branches : whether paths that are not stored branch
     """
 
-    def __init__(self, pace: Pace, features: tuple[str, ...]) -> None:
-        self._pace = pace
-        self._render, self._sum = (
-            pace.device.kernel("image", name, features) for name in ("render_paths", "sum_paths")
-        )
+    def __init__(self, pace: Pace, features: tuple[str, ...], branches: bool) -> None:
+        self._pace, self._features, self._branches = pace, features, branches
+        self._sum = pace.device.kernel("image", "sum_paths", features)
 
     def of(
         self,
@@ -49,6 +48,8 @@ class PathSums:
         Of a launch there are the number of its first sample, and the radiances of its paths, float32.
         """
         count, device = len(pixels.shares), self._pace.device
+        branching = ("CLOUDTOMO_BRANCHES",) if self._branches and not store_paths else ()
+        render = device.kernel("image", "render_paths", (*self._features, *branching))
         host = np.empty(count, STRUCTS["PixelSums"])
         launches: list[tuple[int, Any]] = []
         if not count:
@@ -61,7 +62,7 @@ class PathSums:
             number = int(np.clip(self._pace.work_items // count, 1, samples.count - done))
             paths = device.empty(number * count, np.float32)
             walk = pixels.paths(medium, first, number * count, samples.seed, samples.stream)
-            self._pace.launch(self._render, number * count, **walk, path_radiance=paths, budget=budget.data)
+            self._pace.launch(render, number * count, **walk, path_radiance=paths, budget=budget.data)
             for part in parts(number, _LONGEST_SUM):
                 device.launch(self._sum, count, paths, count, first, *part, sums)
             if store_paths:

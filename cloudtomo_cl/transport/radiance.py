@@ -33,7 +33,7 @@ from cloudtomo_cl.transport.rendering_memory import on_device, pixels_at_once, r
 from cloudtomo_cl.transport.samples import Samples
 from cloudtomo_cl.transport.virtual_collisions import FEW_PATHS, VirtualCollisions
 
-Estimator = Literal["side-flights", "plain"]
+Estimator = Literal["branches", "side-flights", "plain"]
 
 
 @renamed_attributes(field="on_device", kept_launches="stored_launches")
@@ -95,21 +95,22 @@ class RadianceOperator:
         if truncation is not None and not truncation > 0:
             raise DataError(f"truncation is {truncation}: it must be above 0 sr^-1")
         if estimator not in (None, *get_args(Estimator)):
-            allowed = " or ".join(f'"{name}"' for name in get_args(Estimator))
+            *others, last = (f'"{name}"' for name in get_args(Estimator))
+            allowed = f"{', '.join(others)} or {last}"
             raise DataError(
                 f"estimator is {estimator!r}: it must be {allowed}, or None for the one that suits the cloud"
             )
         self.scene = scene
         self.device = device or choose_device()
-        self.estimator: Estimator = estimator or ("side-flights" if scene.cloud.phase_function.g >= 0.5 else "plain")
+        self.estimator: Estimator = estimator or ("branches" if scene.cloud.phase_function.g >= 0.5 else "plain")
         if pixels is None:
             require_memory(self.device, scene.grid.shape, sum(voxels_of(view.pixels) for view in views))
         self._device_scene = DeviceScene(
-            scene, self.device, effective_radius, self.estimator == "side-flights", truncation or np.inf, mask
+            scene, self.device, effective_radius, self.estimator != "plain", truncation or np.inf, mask
         )
         self._pixels = DevicePixels(scene, views, self.device, pixels)
         self._pace = Pace(self.device)
-        self._path_sums = PathSums(self._pace, self.features)
+        self._path_sums = PathSums(self._pace, self.features, self.estimator == "branches")
         self._virtual_collisions = VirtualCollisions(self._device_scene)
 
     @renamed_arguments(iteration="stream", keep_paths="store_paths")

@@ -81,11 +81,24 @@ inline void budget_roulette(KEPT Budget *budget, float throughput, float raised,
         budget->killed -= raised - throughput;
 }
 
-/* Adds the budget of a path that ended with a throughput. */
-inline void budget_termination(const KEPT Budget *budget, Termination termination, float throughput, BudgetSums sums)
+/* Records that a path has left the throughput `given` to branches, of which one, or none, has taken `taken`: a game with
+ * as fair a mean as a roulette's, whose square is its variance. */
+inline void budget_branch(KEPT Budget *budget, float given, float taken)
+{
+    budget->killed += given - taken;
+    budget->killed_variance += (given - taken) * (given - taken);
+}
+
+/* Adds what ended with a throughput: a path, or a branch of one. */
+inline void budget_termination(Termination termination, float throughput, BudgetSums sums)
+{
+    add_to_budget(sums + termination, units_of(throughput * WEIGHT_UNIT));
+}
+
+/* Adds the budget of a path that has ended with all its branches. */
+inline void budget_path(const KEPT Budget *budget, BudgetSums sums)
 {
     add_to_budget(sums + TERMINATION_LAUNCHED, units_of(WEIGHT_UNIT));
-    add_to_budget(sums + termination, units_of(throughput * WEIGHT_UNIT));
     if (budget->absorbed != 0.0f)
         add_to_budget(sums + TERMINATION_ABSORBED, units_of(budget->absorbed * WEIGHT_UNIT));
     if (budget->surface != 0.0f)

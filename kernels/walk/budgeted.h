@@ -13,7 +13,9 @@ inline void on_roulette(float throughput, float raised, bool survives, Tally *ta
 
 inline void on_termination(Termination termination, float throughput, Tally *tally)
 {
-    budget_termination(tally->budget, termination, throughput, tally->sums);
+    budget_termination(termination, throughput, tally->sums);
 }
+
+inline void on_branch(float given, float taken, Tally *tally) { budget_branch(tally->budget, given, taken); }
 
 #endif

@@ -22,7 +22,24 @@ typedef struct {
     uint event;               /* number of the segment that ends here */
     KeptVector new_direction; /* direction in which the path goes on */
     float u_estimate;         /* uniform number for the roulette on the local estimate */
-    float u_side_flights;     /* uniform number for the number of side flights */
+    float u_companions;     /* uniform number for the numbers of side flights and of branches */
 } Interaction;
+
+/* A path that begins where another scatters (branches.h). */
+typedef struct {
+    Ray start;
+    float throughput;
+    float own_share; /* share of the branch in the local estimate at its next collision */
+    uint event;      /* number of the segment that begins there */
+} Branch;
+
+/* The branches of a path: how many may wait, and after how many no more begin. */
+#define MOST_WAITING 4u
+#define MOST_BRANCHES 8u
+typedef struct {
+    Branch *waiting; /* [MOST_WAITING] */
+    uint count;      /* number of those that wait */
+    uint walked;     /* number of those that have begun to be walked */
+} Branches;
 
 #endif

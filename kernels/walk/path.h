@@ -10,7 +10,7 @@
  *       the path has left everything that scatters, at `ray`; it ends there, or goes on to the surface
  *   void on_interaction(medium, const Segment *segment, const Flight *flight, const Interaction *at, tally)
  *       the segment ends in a collision, or at the surface
- *   void on_scattering(medium, const Interaction *at, const SampleKey *key, tally)
+ *   void on_scattering(medium, Interaction *at, const SampleKey *key, tally)
  *       the path goes on from there, in at->new_direction
  *   void on_absorption(medium, const Interaction *at, float weight, tally)
  *       the path's throughput is reduced by `weight`
@@ -26,10 +26,8 @@
 #define CLOUDTOMO_PATH_H
 
 #include "walk/event.h"
+#include "walk/roulette.h"
 #include "walk/turns.h"
-
-/* Paths of smaller throughput go on with the probability throughput / PATH_ROULETTE_THROUGHPUT. */
-#define PATH_ROULETTE_THROUGHPUT 0.1f
 
 /* Whether a ray that has left everything that scatters goes down to a surface that reflects. */
 inline bool meets_surface(const __constant Scene *scene, const Ray *ray)
@@ -84,20 +82,13 @@ inline bool walk_event(const Medium *medium, KEPT Interaction *at, const KEPT Sa
         at->albedo = scene->surface_albedo;
     }
     at->u_estimate = v.x;
-    at->u_side_flights = v.z;
+    at->u_companions = v.z;
     on_absorption(medium, at, at->throughput * (1.0f - at->albedo), tally);
     at->throughput *= at->albedo;
     on_interaction(medium, &segment, &flight, at, tally);
-    const float throughput = at->throughput;
-    if (throughput < PATH_ROULETTE_THROUGHPUT) {
-        const bool survives = v.y * PATH_ROULETTE_THROUGHPUT < throughput;
-        on_roulette(throughput, PATH_ROULETTE_THROUGHPUT, survives, tally);
-        if (!survives) {
-            on_termination(TERMINATION_KILLED, throughput, tally);
-            return false;
-        }
-        at->throughput = PATH_ROULETTE_THROUGHPUT;
-    }
+    at->throughput = after_roulette(at->throughput, v.y, tally);
+    if (at->throughput == 0.0f)
+        return false;
     keep_vector(&at->new_direction, sample_scatter(medium, at->particle, kept_vector(&at->ray.direction), u.zw));
     on_scattering(medium, at, key, tally);
     keep_vector(&at->ray.direction, kept_vector(&at->new_direction));

@@ -27,22 +27,17 @@
 #ifndef CLOUDTOMO_RADIANCE_H
 #define CLOUDTOMO_RADIANCE_H
 
+#include "walk/branches.h"
 #include "walk/camera.h"
+#include "walk/companions.h"
 #include "walk/estimate.h"
 
-/* Side flights aimed at the sun: expected number per unit of throughput x phase function (sr),
- * its bounds, and the threshold of the roulette on local estimates (sr^-1). Found by
- * measurement: docs/explanation/radiance.md. */
-#define SIDE_FLIGHT_RATE 6.0f
-#define SIDE_FLIGHT_LEAST 0.05f
-#define SIDE_FLIGHT_MOST 6.0f
+/* Threshold of the roulette on local estimates, sr^-1. Found by measurement: docs/explanation/radiance.md. */
 #define LOCAL_ESTIMATE_ROULETTE 0.03f
 
 /* Side flights: from a collision, flights in directions drawn around the sun estimate the
- * next order's sunlight, combined with the path's next collision by the balance heuristic (Veach and
- * Guibas 1995). They replace the rare, huge local estimates that a forward peak gives. `count` is their
- * expected number; this is the one of number n. */
-inline void side_flight(const Medium *medium, const KEPT Interaction *at, float count, uint n,
+ * next order's sunlight. This is the one of number n. */
+inline void side_flight(const Medium *medium, const KEPT Interaction *at, Companions companions, uint n,
                         const KEPT SampleKey *key, Tally *tally)
 {
     const uint block = BLOCK_SIDE + 2u * n;
@@ -50,10 +45,10 @@ inline void side_flight(const Medium *medium, const KEPT Interaction *at, float 
     Ray ray = kept_ray(&at->ray);
     const float3 arriving = ray.direction;
     ray.direction = sample_around_sun(medium, v.zw);
-    const float density = scatter_density(medium, at->particle, arriving, ray.direction);
-    if (!(density > 0.0f))
+    const Densities densities = densities_in(medium, at->particle, arriving, ray.direction, companions);
+    if (!(densities.path > 0.0f))
         return;
-    const float share = density / (density + count * sun_density(medium, ray.direction));
+    const float share = share_of_side_flight(densities);
     const float optical_depth = -logarithm(v.x);
     const Flight flight = fly(medium, &ray, optical_depth);
     Segment segment = {kept_ray(&at->ray), optical_depth, at->throughput, at->event + 1u};
@@ -73,12 +68,12 @@ inline void side_flight(const Medium *medium, const KEPT Interaction *at, float 
     tally->radiance += estimate.radiance;
 }
 
-LARGE_FUNCTION void side_flights(const Medium *medium, const KEPT Interaction *at, float count,
+LARGE_FUNCTION void side_flights(const Medium *medium, const KEPT Interaction *at, Companions companions,
                                  const KEPT SampleKey *key, Tally *tally)
 {
-    const uint flights = (uint)(count + at->u_side_flights);
+    const uint flights = (uint)(companions.side_flights + at->u_companions);
     for (uint n = 0; n < flights; ++n)
-        side_flight(medium, at, count, n, key, tally);
+        side_flight(medium, at, companions, n, key, tally);
 }
 
 inline Flight on_flight(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)
@@ -113,18 +108,17 @@ inline void on_interaction(const Medium *medium, const Segment *segment, const F
     tally->own_share = 1.0f;
 }
 
-inline void on_scattering(const Medium *medium, const KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally)
+inline void on_scattering(const Medium *medium, KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally)
 {
     const __constant Scene *scene = medium->scene;
     if (!scene->side_flights)
         return;
-    const float wide =
-        henyey_greenstein(scalar_product(kept_vector(&at->ray.direction), sun_direction(scene)), scene->wide_g);
-    const float count = within(SIDE_FLIGHT_RATE * at->throughput * wide, SIDE_FLIGHT_LEAST, SIDE_FLIGHT_MOST);
-    side_flights(medium, at, count, key, tally);
-    const float3 new_direction = kept_vector(&at->new_direction);
-    const float density = scatter_density(medium, at->particle, kept_vector(&at->ray.direction), new_direction);
-    tally->own_share = density / (density + count * sun_density(medium, new_direction));
+    const float3 arriving = kept_vector(&at->ray.direction);
+    const Companions companions = companions_of(scene, at, arriving, tally);
+    side_flights(medium, at, companions, key, tally);
+    const Densities own = densities_in(medium, at->particle, arriving, kept_vector(&at->new_direction), companions);
+    tally->own_share = share_beside_side_flights(own);
+    branch_off(medium, at, companions, own, key, tally);
 }
 
 #include "walk/path.h"

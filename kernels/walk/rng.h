@@ -53,6 +53,8 @@ inline SampleKey sample_key(uint seed, uint stream, uint2 pixel, uint sample)
 #define TABLE_PHOTONS_VIEW 0x10000000u
 #define ARRIVING_VIEW 0x10000001u
 #define ARRIVED_VIEW 0x10000002u
+/* Of a path's branches, in the order in which they are walked, each has this much more than the one before. */
+#define BRANCH_VIEW 0x00100000u
 
 /* Blocks of a path: block 0 places the ray in its pixel; event k = 1, 2, ... has the
  * BLOCKS_PER_EVENT blocks from k * BLOCKS_PER_EVENT on. Inside an event: */
@@ -60,6 +62,7 @@ inline SampleKey sample_key(uint seed, uint stream, uint2 pixel, uint sample)
 #define BLOCK_EVENT 0u    /* free path, particle, scattering cosine, azimuth */
 #define BLOCK_ROULETTE 1u /* local estimate, path, number of side flights, row of the phase table */
 #define BLOCK_SIDE 2u     /* side flight n: blocks 2 + 2 n and 3 + 2 n */
+#define BLOCK_BRANCH 63u  /* cosine, azimuth, roulette */
 
 /* 32 random bits -> a float in the open interval (0, 1). (float)bits may round up to
  * 2^32, hence the clamp to the largest float below 1: -log(u) is never 0 nor infinite. */

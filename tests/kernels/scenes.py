@@ -91,7 +91,7 @@ def reference_paths(scene, extinction, operator, samples, seed, iteration, **opt
         [
             reference.path(
                 scene, extinction, operator.views[view], seed, iteration, view, pixel, sample,
-                operator.estimator == "side-flights", **options,
+                operator.estimator != "plain", **options,
             )
             for view, pixel in operator.pixels.astype(int)
         ]
@@ -102,6 +102,12 @@ def reference_paths(scene, extinction, operator, samples, seed, iteration, **opt
 def radiances(paths):
     """Sums of the contributions, in the same order."""
     return np.array([[sum(c.radiance for c in contributions) for contributions in row] for row in paths])
+
+
+def unstored_paths(operator, extinction, samples, seed, stream):
+    """Radiance of every path of a rendering that stores none, sr^-1, shape (samples, pixels)."""
+    pairs = [operator.render(extinction, 2, seed, stream, first_sample=n).halves for n in range(0, samples, 2)]
+    return np.concatenate([halves.T for halves in pairs]) / operator.scene.sun.irradiance
 
 
 def kernel_paths(rendering):

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scenes import ABOVE, CAMERA, GRID, SCENES, extinction_of, kernel_paths
 
+from cloudtomo_cl.reference.branches import BLOCKS_PER_EVENT
 from cloudtomo_cl.reference.camera_rays import Table, ray_derivative
-from cloudtomo_cl.reference.paths import BLOCKS_PER_EVENT, first_ray
+from cloudtomo_cl.reference.paths import first_ray
 from cloudtomo_cl.reference.random import uniforms
 from cloudtomo_cl.transport.cells import Cells
 from cloudtomo_cl.transport.directions import AZIMUTHS, BINS, EDGES

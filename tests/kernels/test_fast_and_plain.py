@@ -32,10 +32,10 @@ def chi_square_probability(difference, error):
 
 @pytest.fixture(scope="module")
 def operators(device):
-    """The fast walk, and the plain one: no side flights, and a mask that lets it skip nothing."""
+    """The fast walk, and the plain one: no side flights, no branches, and a mask that lets it skip nothing."""
     everywhere = np.ones(GRID.shape, bool)
     return (
-        RadianceOperator(SCENE, (VIEW,), device, estimator="side-flights"),
+        RadianceOperator(SCENE, (VIEW,), device, estimator="branches"),
         RadianceOperator(SCENE, (VIEW,), device, estimator="plain", mask=everywhere),
     )
 

@@ -7,12 +7,15 @@ is reached before a face, droplet or molecule, a roulette) the two go on along d
 paths. Hence 99 %, not all, and 95 % of those that gather light at all.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import (
     ABOVE,
     CAMERA,
     ESTIMATORS,
+    PERIODIC,
     RADIOMETER,
     RADIOMETER_BELOW,
     RAYS,
@@ -22,8 +25,11 @@ from scenes import (
     kernel_paths,
     radiances,
     reference_paths,
+    unstored_paths,
 )
 
+from cloudtomo_cl.reference import branches
+from cloudtomo_cl.scene.scene import Surface
 from cloudtomo_cl.transport.radiance import RadianceOperator
 
 SEED, ITERATION, SAMPLES = 5, 9, 10
@@ -43,6 +49,39 @@ def test_paths_have_the_radiances_of_the_reference(device, scene, estimator):
     agree = np.abs(found - expected) <= 1e-3 * np.abs(expected)
     assert agree.mean() >= 0.99
     assert agree[lit].mean() >= 0.95
+
+
+@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
+def test_paths_that_branch_have_the_radiances_of_the_reference(device, scene):
+    extinction = extinction_of(scene)
+    operator = RadianceOperator(scene, [ABOVE, CAMERA, RAYS], device, estimator="branches")
+    found = unstored_paths(operator, extinction, SAMPLES, SEED, ITERATION)
+    paths = reference_paths(scene, extinction, operator, SAMPLES, SEED, ITERATION, with_branches=True)
+    expected = radiances(paths)
+    agree = np.abs(found - expected) <= 1e-3 * np.abs(expected)
+    assert agree.mean() >= 0.99
+    assert (expected != 0).sum() > 30
+
+
+def test_a_path_that_has_its_most_branches_is_that_of_the_reference(device, monkeypatch):
+    """No branch begins while as many wait as may wait, nor after as many as may be walked."""
+    scene = replace(SCENES["forward peak"], boundary=PERIODIC, surface=Surface(1.0))
+    extinction = 2 * extinction_of(scene)
+    operator = RadianceOperator(scene, [ABOVE], device, estimator="branches")
+    reached = {"waiting": 0, "walked": 0}
+
+    class Watched(branches.Branches):
+        def expected(self, number):
+            reached["waiting"] = max(reached["waiting"], len(self.waiting))
+            reached["walked"] = max(reached["walked"], self.walked)
+            return super().expected(number)
+
+    monkeypatch.setattr("cloudtomo_cl.reference.paths.Branches", Watched)
+    found = unstored_paths(operator, extinction, 4, SEED, ITERATION)
+    expected = radiances(reference_paths(scene, extinction, operator, 4, SEED, ITERATION, with_branches=True))
+    # Rounding grows along paths of some hundred scatterings.
+    assert np.mean(np.abs(found - expected) <= 1e-2 * np.abs(expected)) >= 0.9
+    assert reached["waiting"] == branches.MOST_WAITING and reached["walked"] >= branches.MOST_BRANCHES
 
 
 def test_means_are_those_of_the_paths(device):

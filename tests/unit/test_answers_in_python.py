@@ -69,7 +69,8 @@ CLOUD = np.full(GRID.shape, 5.0)
 
 @pytest.mark.parametrize("estimator", ["side_flights", "Plain", ""])
 def test_an_unknown_estimator_is_refused(device, estimator):
-    with pytest.raises(ct.DataError, match=f'estimator is \'{estimator}\': it must be "side-flights" or "plain"'):
+    allowed = '"branches", "side-flights" or "plain"'
+    with pytest.raises(ct.DataError, match=f"estimator is '{estimator}': it must be {allowed}"):
         ct.RadianceOperator(SCENE, [VIEW], device, estimator=estimator)
 
 
