@@ -3,9 +3,9 @@
     python scripts/forward_peak.py CLOUD.nc [--seeds 3] [--samples 400] [--view nadir]
 
 For some views of a cloud over a surface of albedo 0.01: the processor seconds in which the mean of the image would
-reach a standard error of 1 %, by the plain estimator (a local estimate at every interaction), with side flights (the
-default), and with paths where the noise is (`render_to_error`), as often as there are seeds. Times are those of the
-processor, all cores together, kernels built before; only their ratios say something.
+reach a standard error of 1 %, by the plain estimator (a local estimate at every interaction), with side flights, with
+branches as well (the default), and with paths where the noise is (`render_to_error`), as often as there are seeds.
+Times are those of the processor, all cores together, kernels built before; only their ratios say something.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from cloudtomo_cl.files.extinction import read_extinction
 from cloudtomo_cl.transport.adaptive import render_to_error
 
 PIXELS = (76, 76)
+ESTIMATORS = ("plain", "side-flights", "branches")
 
 
 def views(grid: ct.Grid) -> Iterator[tuple[str, ct.Sun, ct.OrthographicView]]:
@@ -54,12 +55,12 @@ def main() -> None:
         if settings.view not in name:
             continue
         scene = ct.Scene(grid=grid, sun=sun, surface=ct.Surface(0.01))
-        operators = {name: ct.RadianceOperator(scene, [view], estimator=name) for name in ("plain", "side-flights")}
+        operators = {name: ct.RadianceOperator(scene, [view], estimator=name) for name in ESTIMATORS}
         for operator in operators.values():
             operator.render(extinction, 8)
         found: dict[str, list[tuple[float, float, float]]] = {}
         for seed in range(1, settings.seeds + 1):
-            for estimator in ("plain", "side-flights", "placed"):
+            for estimator in (*ESTIMATORS, "placed"):
                 start = time.process_time()
                 if estimator == "placed":
                     most = settings.samples / 2 * len(operator.pixels)

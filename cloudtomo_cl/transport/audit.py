@@ -15,7 +15,7 @@ from cloudtomo_cl.opencl.layout import BUDGET_COPIES, TERMINATIONS, WEIGHT_UNIT
 
 # Each path's balance is rounded to single precision, a few hundred times in thick clouds.
 _ROUNDING = 1e-4
-# Roulettes give as much as they take, but for chance: 6 standard errors are 2e-9 of all runs.
+# Roulettes and branches give as much as they take, but for chance: 6 standard errors are 2e-9 of all runs.
 _SIGNIFICANCE = 6.0
 _LOST_SHARE_LIMIT = 1e-4
 
@@ -34,7 +34,8 @@ class Audit:
     missed : never met an open domain
     absorbed : by droplets and molecules
     surface : absorbed by the surface
-    killed : ended by roulettes, less what their survivors gained: 0 but for `killed_standard_error`
+    killed : ended by roulettes, less what their survivors gained, and left to branches, less what those took: 0 but
+        for `killed_standard_error`
     lost : given up in endless horizontal flight
     truncated : radiance that a truncation removed, as a share of what there was
     """
@@ -63,8 +64,8 @@ class Audit:
 
         Raises
         ------
-        AuditError : paths are missing, weight came from nowhere or went nowhere, roulettes are
-            unfair, or too many paths were lost
+        AuditError : paths are missing, weight came from nowhere or went nowhere, roulettes or
+            branches are unfair, or too many paths were lost
         """
         if self.launched != expected:
             raise AuditError(f"{self.launched} of {expected} paths came to an end: {_ADVICE}")
@@ -72,7 +73,7 @@ class Audit:
             raise AuditError(f"the paths' weights add up to {1 + self.balance:.6g} instead of 1: {_ADVICE}")
         if not abs(self.killed) <= _SIGNIFICANCE * self.killed_standard_error + 1.0 / WEIGHT_UNIT:
             raise AuditError(
-                f"roulettes took {self.killed:.3g} ± {self.killed_standard_error:.2g} of the weight instead of 0: "
+                f"roulettes and branches took {self.killed:.3g} ± {self.killed_standard_error:.2g} of the weight instead of 0: "
                 f"{_ADVICE}"
             )
         if self.lost > _LOST_SHARE_LIMIT:

@@ -46,9 +46,9 @@ class RadianceOperator:
     views : the sensors
     device : where to compute; by default `choose_device()`
     pixels : which pixels, an integer array (pixels, 2) of (view, row * width + column); all by default
-    estimator : "side-flights" (less noise under a forward peak; the mean is the same), or
-        "plain", one local estimate at every interaction; by default side flights if the
-        asymmetry of the droplets is at least 0.5
+    estimator : "branches" or "side-flights" (both: less noise under a forward peak; the mean is the same), or
+        "plain", one local estimate at every interaction; by default branches if the asymmetry of the droplets is at
+        least 0.5. Paths that are stored have side flights in place of branches
 
     effective_radius : of the droplets, micrometres, shape of the grid, for a phase table of
         several radii; by default `scene.cloud.effective_radius` everywhere
@@ -133,7 +133,8 @@ class RadianceOperator:
             `on_device` has returned
         samples : paths per pixel, even
         seed, stream : together with view, pixel and sample these determine every path
-        store_paths : keep what `gradient` needs (4 bytes per path on the device)
+        store_paths : keep what `gradient` needs (4 bytes per path on the device). Stored paths do not branch: other
+            paths than without it, with the same mean and more noise
         progress : called with the number of samples done so far
         first_sample : number of the first path of every pixel, even
 

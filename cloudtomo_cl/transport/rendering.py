@@ -80,9 +80,13 @@ def _named(images: Sequence[np.ndarray]) -> list[tuple[str, np.ndarray]]:
     return [(f"view {number}", image) for number, image in enumerate(images)]
 
 
-def pooled(first: Rendering, second: Rendering) -> Rendering:
-    """Two renderings of the same pixels with different paths. It has no stored paths: there are no gradients of it."""
-    share = first.samples / (first.samples + second.samples)
+def pooled(first: Rendering, second: Rendering, share: float | None = None) -> Rendering:
+    """Two renderings of the same pixels with different paths. It has no stored paths: there are no gradients of it.
+
+    share : of the first in their mean, for paths of different estimators; by default that of its paths
+    """
+    if share is None:
+        share = first.samples / (first.samples + second.samples)
     return replace(
         first,
         mean=share * first.mean + (1 - share) * second.mean,

@@ -48,9 +48,9 @@ typedef struct {
     float path, branches, side_flights;
 } Densities;
 
-inline Companions companions_of(const __constant Scene *scene, const KEPT Interaction *at, float3 arriving,
-                                const Tally *tally)
+inline Companions companions_of(const __constant Scene *scene, const KEPT Interaction *at, const Tally *tally)
 {
+    const float3 arriving = kept_vector(&at->ray.direction);
     const float wide = henyey_greenstein(scalar_product(arriving, sun_direction(scene)), scene->wide_g);
     Companions companions;
     companions.branches = expected_branches(at, tally);

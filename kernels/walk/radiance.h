@@ -113,9 +113,9 @@ inline void on_scattering(const Medium *medium, KEPT Interaction *at, const KEPT
     const __constant Scene *scene = medium->scene;
     if (!scene->side_flights)
         return;
-    const float3 arriving = kept_vector(&at->ray.direction);
-    const Companions companions = companions_of(scene, at, arriving, tally);
+    const Companions companions = companions_of(scene, at, tally);
     side_flights(medium, at, companions, key, tally);
+    const float3 arriving = kept_vector(&at->ray.direction);
     const Densities own = densities_in(medium, at->particle, arriving, kept_vector(&at->new_direction), companions);
     tally->own_share = share_beside_side_flights(own);
     branch_off(medium, at, companions, own, key, tally);

@@ -74,6 +74,7 @@ class KernelSource:
 # The last two show what optional features cost.
 KERNELS = (
     KernelSource("image", "render_paths"),
+    KernelSource("image", "render_paths", ("CLOUDTOMO_BRANCHES",), "render_paths, branches"),
     KernelSource("replay", "replay_paths"),
     KernelSource("virtual", "virtual_paths"),
     KernelSource("lengths", "path_lengths"),

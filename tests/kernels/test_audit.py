@@ -36,7 +36,7 @@ def test_a_sound_audit_passes():
         ({"launched": 999}, "999 of 1000 paths"),
         ({"top": 0.6}, "add up to 1.1"),
         ({"top": float("nan")}, "add up to nan"),
-        ({"top": 0.4, "killed": 0.1}, "roulettes took 0.1"),
+        ({"top": 0.4, "killed": 0.1}, "roulettes and branches took 0.1"),
         ({"top": 0.49, "lost": 0.01}, "tilt the views"),
     ],
 )

@@ -36,6 +36,7 @@ from cloudtomo_cl.scene.grid import Count, Grid
 from cloudtomo_cl.scene.scene import NotNegative, Positive
 from cloudtomo_cl.transport.jacobian import Jacobian, jacobian_footprint
 from cloudtomo_cl.transport.jacobian_average import JacobianAverage
+from cloudtomo_cl.transport.radiance import RadianceOperator
 from cloudtomo_cl.transport.radiance_table import table_footprint, table_growth
 from cloudtomo_cl.transport.rendering import Rendering, pooled
 
@@ -174,8 +175,7 @@ class GaussNewton:
         seen = problem.with_motions(state.motions)
         first = _averaged_in(derivatives, len(state.streams), seen, state.extinction, seed, stream)
         problem = _without_outliers(problem, state if state.iterations else _with_image(problem, state, first))
-        more = first.samples * self._times_more(problem, state, first)
-        rendering = _with_more_paths(seen, first, more, state.extinction, seed, stream)
+        rendering = self._with_more_paths(problem, seen.operator, state, first, (seed, stream))
         cost, error = _cost(problem, rendering.halves, state)
         state = _with_image(problem, state, rendering)
         state = replace(
@@ -194,18 +194,42 @@ class GaussNewton:
             return problem
         return replace(problem, samples=max(2, 2 * round(self.paths * problem.default_samples / 2)))
 
-    def _times_more(self, problem: Problem, state: GaussNewtonState, first: Rendering) -> int:
-        """The number of further paths for the images, as a multiple of the paths for the derivatives.
+    def _with_more_paths(
+        self, problem: Problem, operator: RadianceOperator, state: GaussNewtonState, first: Rendering,
+        drawn: tuple[int, int],
+    ) -> Rendering:  # fmt: skip
+        """The rendering for the derivatives, pooled with further paths for the images.
 
-        It is no more than it takes for their noise to be small beside the misfit or beside the measured images' noise.
+        There are no more than it takes for their noise to be small beside the misfit or beside the measured images'
+        noise. They are not stored, so that they may branch: how much noise they have, the first of them tell.
+
+        operator : which has made it
+        drawn : seed and stream
         """
+
+        def noise_in(rendering: Rendering) -> float:
+            return noise_of(rendering.standard_error**2, problem.weights)
+
+        def rendered(begin: int, end: int) -> Rendering:
+            samples = (end - begin) * first.samples
+            return operator.render(values, samples, *drawn, first_sample=begin * first.samples)
+
         cost, error = _cost(problem, first.halves, state)
         measured = noise_of(problem.active.variance, problem.weights)
         bearable = max(_NOISE_OF_MISFIT * (cost - 2 * error), _NOISE_OF_MEASURED * measured)
-        noise = noise_of(first.standard_error**2, problem.weights)
-        if noise >= (1 + self.image_samples) * bearable:
-            return self.image_samples
-        return max(ceil(noise / bearable) - 1, 0)
+        if not self.image_samples or noise_in(first) <= bearable:
+            return first
+        values = problem.on_grid(state.extinction)
+        further = rendered(1, 2)
+        # Inverse squares of noise add up.
+        missing = 1 - bearable / noise_in(first)
+        end = self.image_samples + 1
+        if missing * noise_in(further) < self.image_samples * bearable:
+            end = 1 + ceil(missing * noise_in(further) / bearable)
+        if end > 2:
+            further = pooled(further, rendered(2, end))
+        share = noise_in(further) / (noise_in(first) + noise_in(further))
+        return pooled(first, further, share)
 
     def _minimised(
         self, problem: Problem, state: GaussNewtonState, seed: int, stream: int
@@ -272,16 +296,6 @@ class GaussNewton:
     def outliers(self, problem: Problem, state: GaussNewtonState) -> tuple[Outlier, ...]:
         """The pixels that no cloud explains, the farthest first; they hardly counted."""
         return problem.active.outliers(_misfit(problem, state), state.variance) if state.iterations else ()
-
-
-def _with_more_paths(
-    problem: Problem, first: Rendering, more: int, extinction: np.ndarray, seed: int, stream: int
-) -> Rendering:
-    """The rendering for the derivatives, pooled with `more` further paths per pixel for the images."""
-    if not more:
-        return first
-    values = problem.on_grid(extinction)
-    return pooled(first, problem.operator.render(values, more, seed, stream, first_sample=first.samples))
 
 
 def trusted(extinction: np.ndarray, grid: Grid) -> np.ndarray:
