@@ -1,11 +1,13 @@
 /* The gradient of a cost by the radiance table (derivatives.h), and the table's direct sunlight. */
 #include "radiance_table.h"
 #include "walk/accumulate.h"
+#include "walk/event.h"
 #include "walk/turns.h"
 
 typedef struct {
     float radiance, own_share; /* of walk/radiance.h */
     float total;
+    Branches branches;
     RadianceTable table;
     float adjoint; /* derivative of the cost with respect to this path's radiance, scaled */
     volatile __global Accumulator *gradient;
@@ -36,6 +38,7 @@ __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
     tally.table = make_table(TABLE_ARGUMENTS);
     tally.gradient = gradient;
     tally.change = change;
+    BRANCHES(tally);
     for (bool walks = false; walks || next_turn(&turn);) {
         if (!walks) {
             path = path_of_item(turn.item, pixel_count, path_count);
@@ -44,13 +47,14 @@ __kernel void gradient_paths(GRADIENT_PATHS_PARAMETERS)
             const SampleKey own = sample_key(seed, stream, pixel, sample);
             tally.radiance = 0.0f;
             tally.own_share = 1.0f;
+            clear_branches(&tally.branches);
             tally.total = path_radiance[path];
             tally.adjoint = adjoint_of(adjoint, pixel_in_list, sample);
             tally.tangent = 0.0f;
             keep_key(key, &own);
             start_path(at, camera_ray(scene, views + pixel.x, rays, &own));
         }
-        walks = walk_turn(&medium, at, key, &tally);
+        walks = walk_turn(&medium, at, key, &tally) || next_branch(at, key, &tally);
         if (!walks) {
             check_replay(tally.radiance, tally.total, astray);
             path_tangent[path] = tally.tangent;

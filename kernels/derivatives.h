@@ -116,6 +116,9 @@ inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalE
     fly_to_sun(medium, &ray, INFINITY, estimate->radiance, tally);
 }
 
+inline void tally_new_branch(uint number, Tally *tally) {}
+inline void tally_next_branch(uint number, Tally *tally) {}
+
 #include "walk/unbudgeted.h"
 #include "walk/radiance.h"
 

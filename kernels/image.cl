@@ -1,4 +1,5 @@
 /* Radiances: paths are walked, each by one work item; then every pixel sums its paths in order. */
+#include "walk/brought.h"
 #include "walk/budget.h"
 #include "walk/event.h"
 #include "walk/turns.h"
@@ -7,9 +8,8 @@ typedef struct {
     float radiance, own_share; /* of radiance.h */
     KEPT Budget *budget;
     BudgetSums sums; /* sums of all paths' budgets */
-#ifdef CLOUDTOMO_BRANCHES
     Branches branches;
-#endif
+    Brought brought;
 } Tally;
 
 #include "walk/untallied.h"
@@ -22,6 +22,22 @@ inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalE
 inline void on_absorption(const Medium *medium, const KEPT Interaction *at, float weight, Tally *tally)
 {
     budget_absorption(tally->budget, at->particle == PARTICLE_SURFACE, weight);
+}
+
+inline void tally_new_branch(uint number, Tally *tally) { await_branch(&tally->brought, number); }
+
+inline void tally_next_branch(uint number, Tally *tally)
+{
+    const uint waiting = tally->branches.count;
+    end_branches(&tally->brought, &tally->branches, waiting + 1u, tally->radiance);
+    open_branch(&tally->brought, number, waiting, tally->radiance);
+}
+
+inline void store_branches(Tally *tally, __global float *brought, uint path_count)
+{
+    end_branches(&tally->brought, &tally->branches, 0u, tally->radiance);
+    for (uint n = 0u; n < tally->branches.begun; ++n)
+        brought[(size_t)n * path_count] = tally->brought.radiance[n];
 }
 
 #include "walk/budgeted.h"
@@ -46,7 +62,7 @@ __kernel void render_paths(RENDER_PATHS_PARAMETERS)
             const SampleKey own = sample_key(seed, stream, pixel, first_sample + path / pixel_count);
             tally.radiance = 0.0f;
             tally.own_share = 1.0f;
-            clear_branches(&tally);
+            clear_branches(&tally.branches);
             clear_budget(own_budget);
             keep_key(key, &own);
             start_path(at, camera_ray(scene, views + pixel.x, rays, &own));
@@ -54,6 +70,8 @@ __kernel void render_paths(RENDER_PATHS_PARAMETERS)
         walks = walk_turn(&medium, at, key, &tally) || next_branch(at, key, &tally);
         if (!walks) {
             path_radiance[path] = tally.radiance;
+            if (stores_branches)
+                store_branches(&tally, path_radiance + path_count + path, path_count);
             budget_path(own_budget, tally.sums);
         }
     }

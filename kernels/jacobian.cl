@@ -3,11 +3,13 @@
 #include "near_field.h"
 #include "radiance_table.h"
 #include "walk/accumulate.h"
+#include "walk/event.h"
 #include "walk/turns.h"
 
 typedef struct {
     float radiance, own_share; /* of walk/radiance.h */
     float total;
+    Branches branches;
     RadianceTable table;
     float weight; /* factor of a derivative: number of paths that it stands for */
     const __constant Scene *scene;
@@ -68,6 +70,7 @@ __kernel void jacobian_paths(JACOBIAN_PATHS_PARAMETERS)
     tally.place = place;
     tally.block = block;
     tally.weight = 1.0f;
+    BRANCHES(tally);
     for (bool walks = false; walks || next_turn(&turn);) {
         if (!walks) {
             /* Neighbours in a work group replay paths of the same pixel, which go through the same voxels. */
@@ -76,6 +79,7 @@ __kernel void jacobian_paths(JACOBIAN_PATHS_PARAMETERS)
             const SampleKey own = sample_key(seed, stream, pixel, first_sample + n);
             tally.radiance = 0.0f;
             tally.own_share = 1.0f;
+            clear_branches(&tally.branches);
             tally.total = path_radiance[n * pixel_count + pixel_in_list];
             tally.tile = tiles + pixel_in_list;
             tally.near = near_sums + (slot_start[pixel_in_list] - slot_start[first_pixel]);
@@ -83,7 +87,7 @@ __kernel void jacobian_paths(JACOBIAN_PATHS_PARAMETERS)
             keep_key(key, &own);
             start_path(at, camera_ray(scene, views + pixel.x, rays, &own));
         }
-        walks = walk_turn(&medium, at, key, &tally);
+        walks = walk_turn(&medium, at, key, &tally) || next_branch(at, key, &tally);
         if (!walks)
             check_replay(tally.radiance, tally.total, astray);
     }

@@ -10,6 +10,7 @@
  * that sum is above 0. */
 #include "walk/accumulate.h"
 #include "walk/estimate.h"
+#include "walk/event.h"
 #include "walk/replayed.h"
 #include "walk/turns.h"
 
@@ -19,7 +20,7 @@ typedef struct {
     uint virtual_collisions; /* number of virtual collisions so far */
     uint place;              /* place, in the list, of the one that is kept */
     uint path;               /* number of the path in its launch */
-    float total;             /* the whole path's radiance, sr^-1 */
+    float total;             /* radiance of the whole path, sr^-1 */
     float throughput, share; /* of the present flight: another path would begin with them */
     uint event;              /* number of the present flight */
     int aside;               /* whether it is a side flight */
@@ -30,11 +31,15 @@ typedef struct {
     float adjoint;             /* derivative of the cost with respect to this path's radiance, scaled */
     float remaining;           /* the adjoint payload of the path's flight: radiance that depends on it, sr^-1 */
     float virtual_depth;       /* optical depth of virtual droplets until the next is met */
+    float end;                 /* radiance when all has ended that begins on the present walk from here on, sr^-1 */
     KEPT Replayed *path;
     const __global float *virtual_extinction; /* [x][y][z]; below 0: outside of the mask, nothing is deposited */
     __global VirtualCollision *list;
     volatile __global uint *listed;
     volatile __global Accumulator *gradient;
+    Branches branches;
+    const __global float *brought; /* [branch]: radiance of each with those that begin on it, sr^-1 */
+    uint path_count;               /* stride of `brought` */
 } Tally;
 
 inline void deposit_crossing(const Tally *tally, int index, float length, float radiance)
@@ -113,7 +118,7 @@ inline void begin_flight(const Segment *segment, float share, bool aside, Tally 
 
 inline Flight tally_fly(const Medium *medium, Ray *ray, const Segment *segment, Tally *tally)
 {
-    tally->remaining = remaining_radiance(tally->path->total, tally->radiance);
+    tally->remaining = remaining_radiance(tally->end, tally->radiance, tally->path->total);
     begin_flight(segment, tally->own_share, false, tally);
     return fly_and_deposit(medium, ray, segment->optical_depth, tally->remaining, tally);
 }
@@ -141,6 +146,17 @@ inline void tally_shadow_ray(const Medium *medium, const Ray *from, const LocalE
     fly_to_sun(medium, &ray, INFINITY, estimate->radiance, tally);
 }
 
+/* A branch is walked when its path has ended; from the flights before it on, what it brings depends on the path. */
+inline void tally_new_branch(uint number, Tally *tally)
+{
+    tally->end -= tally->brought[(size_t)(number - 1u) * tally->path_count];
+}
+
+inline void tally_next_branch(uint number, Tally *tally)
+{
+    tally->end = tally->radiance + tally->brought[(size_t)(number - 1u) * tally->path_count];
+}
+
 #include "walk/unbudgeted.h"
 #include "walk/radiance.h"
 
@@ -157,6 +173,8 @@ inline void begin_tally(Tally *tally, uint number, float total, SampleKey key)
     tally->radiance = 0.0f;
     tally->own_share = 1.0f;
     tally->remaining = 0.0f;
+    tally->end = total;
+    clear_branches(&tally->branches);
     tally->virtual_depth = -logarithm(uniforms(&key, 0u).x);
 }
 
@@ -180,6 +198,8 @@ __kernel void replay_paths(REPLAY_PATHS_PARAMETERS)
     tally.list = virtual_collisions;
     tally.listed = virtual_collision_count;
     tally.gradient = gradient;
+    tally.path_count = path_count;
+    BRANCHES(tally);
     for (bool walks = false; walks || next_turn(&turn);) {
         if (!walks) {
             const uint path = path_of_item(turn.item, pixel_count, path_count);
@@ -191,9 +211,10 @@ __kernel void replay_paths(REPLAY_PATHS_PARAMETERS)
             const SampleKey own = sample_key(seed, stream, pixel, sample);
             keep_key(key, &own);
             start_path(at, camera_ray(scene, views + pixel.x, rays, &own));
+            tally.brought = path_radiance + path_count + path;
             begin_tally(&tally, path, path_radiance[path], own);
         }
-        walks = walk_turn(&medium, at, key, &tally);
+        walks = walk_turn(&medium, at, key, &tally) || next_branch(at, key, &tally);
         if (!walks)
             end_tally(&tally, astray);
     }

@@ -192,7 +192,7 @@ def compare_worker(samples: int, file: str) -> None:
         operator = ct.RadianceOperator(scene, views, device, mask=np.ones(grid.shape, bool))
         rendering = operator.render(extinction, samples, seed=3, stream=5, store_paths=True)
         adjoint = np.column_stack([np.linspace(0.5, 1.5, len(operator.pixels))] * 2)
-        results[f"{name} paths"] = np.concatenate([paths.get() for _, paths in rendering._launches])
+        results[f"{name} paths"] = np.concatenate([paths.get()[0] for _, paths in rendering._launches])
         results[f"{name} image"] = rendering.mean
         results[f"{name} gradient"] = operator.gradient(rendering, adjoint).get()
         given_of[name] = (operator, rendering, adjoint)

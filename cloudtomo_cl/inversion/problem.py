@@ -185,8 +185,9 @@ class Problem:
         from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 
         x = self._checked(x)
-        rendering = self.operator.render(self.on_grid(x), self.paths_per_pixel(samples), seed, stream, store_paths=True)
-        derivatives = JacobianAverage(self.operator)
+        operator, grid = self.operator.without_branches(), self.on_grid(x)
+        rendering = operator.render(grid, self.paths_per_pixel(samples), seed, stream, store_paths=True)
+        derivatives = JacobianAverage(operator)
         derivatives.add(rendering, 1.0)
         return LinearModel(x.copy(), rendering.mean, rendering.standard_error**2, derivatives.jacobian, rendering)
 

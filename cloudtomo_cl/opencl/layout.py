@@ -102,6 +102,8 @@ FLUXES = ("REFLECTED", "DIRECT", "DIFFUSE", "ABSORBED")
 # Units of the fixed-point sums of a weight of 1, and number of copies of the energy budget (walk/budget.h).
 WEIGHT_UNIT = 2.0**24
 BUDGET_COPIES = 64
+# Largest number of branches of a path (walk/branches.h).
+MOST_BRANCHES = 4
 TABLE_UNIT = 2.0**30
 # Units of the fixed-point sums of derivatives per sr^-1 km: rounding is far below the deposits that matter (about
 # 1e-6), and a sum of them may reach 2^30 before it overflows.
@@ -123,6 +125,7 @@ def _constants() -> str:
     lines.append(f"#define TERMINATIONS {len(TERMINATIONS)}")
     lines.append(f"#define WEIGHT_UNIT {WEIGHT_UNIT:.1f}f")
     lines.append(f"#define BUDGET_COPIES {BUDGET_COPIES}")
+    lines.append(f"#define MOST_BRANCHES {MOST_BRANCHES}u")
     lines.append(f"#define TABLE_UNIT {TABLE_UNIT:.1f}f")
     lines.append(f"#define DERIVATIVE_UNIT {DERIVATIVE_UNIT:.1f}f")
     lines.append(f"#define TILE_WIDTH {TILE_WIDTH}")

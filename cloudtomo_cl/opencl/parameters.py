@@ -41,7 +41,9 @@ TURNS = "turns"
 _TURNS = (f"const uint {TURNS}",)  # paths per work item
 _REPLAY = (
     *PATHS,
-    "const __global float *path_radiance",  # [path]: radiance from render_paths, sr^-1
+    # From render_paths, sr^-1: [path] of each path; after these, of paths that branch, [branch][path] of each branch
+    # with those that began on it.
+    "const __global float *path_radiance",
     "volatile __global uint *astray",  # number of paths whose radiance is now another one
 )
 _TABLE = (
@@ -100,7 +102,8 @@ KERNELS: dict[str, tuple[str, ...]] = {
     **VECTOR_KERNELS,
     "render_paths": (
         *PATHS,
-        "__global float *path_radiance",  # sr^-1
+        "__global float *path_radiance",  # as in replays, sr^-1
+        "const uint stores_branches",  # whether the branches' are wanted
         "volatile __global Accumulator *budget",  # [copy][Termination]
         *_TURNS,
     ),

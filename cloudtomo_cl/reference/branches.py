@@ -25,7 +25,7 @@ BLOCKS_PER_EVENT, BLOCK_BRANCH, BRANCH_VIEW = 64, 63, 2**20
 PATH_ROULETTE_WEIGHT = 0.1
 SIDE_FLIGHT_LEAST = 0.05
 SIDE_FLIGHT_MOST = {False: 6.0, True: 12.0}  # by whether paths branch; also the rate
-BRANCH_RATE, BRANCH_EVENTS, MOST_WAITING, MOST_BRANCHES = 0.2, 5, 4, 8
+BRANCH_RATE, BRANCH_EVENTS, MOST_BRANCHES = 0.2, 5, 4
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,8 @@ class Branch:
     ----------
     position, direction : km
     weight : that it begins with
-    number : of the event where it begins
+    event : number of the event where it begins
+    number : 1, 2, ..., in the order in which a path's branches begin
     share : of its first flight in the local estimate at its end
     history : d log(density of the path up to there) / d extinction, km, shape of the grid
     """
@@ -106,6 +107,7 @@ class Branch:
     position: np.ndarray
     direction: np.ndarray
     weight: float
+    event: int
     number: int
     share: float
     history: np.ndarray
@@ -117,7 +119,7 @@ class Branches:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self.waiting: list[Branch] = []
-        self.walked = 0
+        self.begun = 0
         self._kept = 1.0
 
     def kept(self, event: Event) -> float:
@@ -125,15 +127,12 @@ class Branches:
         return self._kept
 
     def next(self) -> Branch | None:
-        """The branch to be walked now; its random numbers have `walked` times BRANCH_VIEW added to their view."""
-        if not self.waiting:
-            return None
-        self.walked += 1
-        return self.waiting.pop()
+        """The branch to be walked now; its random numbers have `number` times BRANCH_VIEW added to their view."""
+        return self.waiting.pop() if self.waiting else None
 
     def expected(self, number: int) -> float:
         """Number of branches at an event."""
-        if len(self.waiting) >= MOST_WAITING or self.walked >= MOST_BRANCHES:
+        if self.begun == MOST_BRANCHES:
             return 0.0
         return BRANCH_RATE * BRANCH_EVENTS / (BRANCH_EVENTS + number - 1)
 
@@ -152,7 +151,8 @@ class Branches:
             weight = PATH_ROULETTE_WEIGHT if u[2] * PATH_ROULETTE_WEIGHT < weight else 0.0
         if weight:
             share = companions.share_beside_side_flights(event.particle, event.direction, direction)
-            branch = Branch(event.position, direction, weight, event.number, share, event.history)
+            self.begun += 1
+            branch = Branch(event.position, direction, weight, event.number, self.begun, share, event.history)
             self.waiting.append(branch)
 
 

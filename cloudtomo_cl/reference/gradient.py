@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from cloudtomo_cl.reference.branches import BLOCKS_PER_EVENT, Event
+from cloudtomo_cl.reference.branches import BLOCKS_PER_EVENT, Branches, Event
 from cloudtomo_cl.reference.flights import voxel_crossings
 from cloudtomo_cl.reference.paths import (
     VirtualCollision,
@@ -22,6 +23,7 @@ from cloudtomo_cl.reference.paths import (
     gather,
     local_estimate,
     walk,
+    walks,
 )
 from cloudtomo_cl.reference.random import uniforms
 from cloudtomo_cl.reference.scattering import droplet_in_voxel, scatter_density
@@ -74,6 +76,7 @@ def path_deposits(
     with_side_flights: bool,
     effective_radius: np.ndarray | None = None,
     truncation: float = np.inf,
+    with_branches: bool = False,
 ) -> Deposits:
     """What a path adds to the derivative of its pixel's radiance.
 
@@ -86,10 +89,11 @@ def path_deposits(
     key = (seed, stream, view_index, pixel, sample)
     added = np.maximum(virtual, 0.0)
     flights: list[_Flown] = []
-    shares: dict[int, float] = {1: 1.0}
+    shares: dict[int, float] = {}  # of the walk's flights but the first, by number
+    of_first = 1.0
 
     def own(number: int, start: np.ndarray, direction: np.ndarray, length: float, weight: float) -> None:
-        flights.append(_Flown(number, start, direction, length, weight, shares[number], False))
+        flights.append(_Flown(number, start, direction, length, weight, shares.get(number, of_first), False))
 
     def aside(event: Event, direction: np.ndarray, length: float, share: float) -> None:
         flights.append(_Flown(event.number + 1, event.position, direction, length, event.survivor, share, True))
@@ -97,12 +101,15 @@ def path_deposits(
     def shared(event: Event, share: float) -> None:
         shares[event.number + 1] = share
 
-    block = _blocks(key, 0)
-    position, direction = first_ray(scene, view, pixel, block(0))
-    events = walk(scene, extinction, effective_radius, position, direction, block, virtual=added, flown=own)
-    found = gather(
-        scene, extinction, effective_radius, events, block, with_side_flights, truncation, 1.0, added, aside, shared
-    )
+    first, branches = first_ray(scene, view, pixel, _blocks(key, 0)(0)), Branches(scene) if with_branches else None
+    blocks, found = partial(_blocks, key), []
+    ways = walks(scene, extinction, effective_radius, first, blocks, branches, virtual=added, flown=own)
+    for events, of_first, block in ways:
+        shares.clear()
+        found += gather(
+            scene, extinction, effective_radius, events, block, with_side_flights, truncation, of_first, added, aside,
+            shared, branches,
+        )  # fmt: skip
     inside = virtual >= 0
     real = sum((c.derivative for c in found), np.zeros(scene.grid.shape)) * inside
     deposited = np.zeros(scene.grid.shape)

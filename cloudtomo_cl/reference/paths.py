@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -188,7 +189,7 @@ def walk(
     """
     history, weight, number = np.zeros(scene.grid.shape), 1.0, 0
     if isinstance(start, Branch):
-        history, weight, number, start = start.history, start.weight, start.number, None
+        history, weight, number, start = start.history, start.weight, start.event, None
     if start is not None:
         weight, number = start.weight, start.number - 1
     while True:
@@ -257,26 +258,45 @@ def path(
     """
 
     def blocks(view: int) -> Callable[[int], np.ndarray]:
-        return lambda number: uniforms(seed, iteration, view, pixel, sample, number)
+        return lambda number: uniforms(seed, iteration, view_index + view, pixel, sample, number)
 
-    block = blocks(view_index)
-    position, direction = first_ray(scene, view, pixel, block(0))
-    if not with_branches:
-        events = walk(scene, extinction, effective_radius, position, direction, block)
-        return gather(scene, extinction, effective_radius, events, block, with_side_flights, truncation)
-    branches, branch, share = Branches(scene), None, 1.0
+    first, branches = first_ray(scene, view, pixel, blocks(0)(0)), Branches(scene) if with_branches else None
     contributions: list[Contribution] = []
-    while True:
-        walked = (position, direction, block)
-        events = walk(scene, extinction, effective_radius, *walked, start=branch, kept=branches.kept)
+    for events, share, block in walks(scene, extinction, effective_radius, first, blocks, branches):
         contributions += gather(
-            scene, extinction, effective_radius, events, block, True, truncation, share, branches=branches
+            scene, extinction, effective_radius, events, block, with_side_flights, truncation, share, branches=branches
         )
-        branch = branches.next()
+    return contributions
+
+
+def walks(
+    scene: Scene,
+    extinction: np.ndarray,
+    effective_radius: np.ndarray | None,
+    first: tuple[np.ndarray, np.ndarray],
+    blocks: Callable[[int], Callable[[int], np.ndarray]],
+    branches: Branches | None,
+    **watched: Any,
+) -> Iterator[tuple[Iterator[Event], float, Callable[[int], np.ndarray]]]:
+    """A path and its branches, one after the other: each one's events, its first flight's share, and its numbers.
+
+    Parameters
+    ----------
+    first : position and direction of the path's first ray, km
+    blocks : given what is added to the view: the uniform numbers of a block
+    branches : to which gathering the events adds those that begin; None: there are none
+    watched : virtual, flown; as of `walk`
+    """
+    (position, direction), share, block, branch = first, 1.0, blocks(0), None
+    while True:
+        kept = branches.kept if branches else lambda _: 1.0
+        path = walk(scene, extinction, effective_radius, position, direction, block, start=branch, kept=kept, **watched)
+        yield path, share, block
+        branch = branches.next() if branches else None
         if branch is None:
-            return contributions
+            return
         position, direction, share = branch.position, branch.direction, branch.share
-        block = blocks(view_index + branches.walked * BRANCH_VIEW)
+        block = blocks(branch.number * BRANCH_VIEW)
 
 
 def first_ray(scene: Scene, view: View, pixel: int, jitter: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -73,8 +73,8 @@ class Audit:
             raise AuditError(f"the paths' weights add up to {1 + self.balance:.6g} instead of 1: {_ADVICE}")
         if not abs(self.killed) <= _SIGNIFICANCE * self.killed_standard_error + 1.0 / WEIGHT_UNIT:
             raise AuditError(
-                f"roulettes and branches took {self.killed:.3g} ± {self.killed_standard_error:.2g} of the weight instead of 0: "
-                f"{_ADVICE}"
+                f"roulettes and branches took {self.killed:.3g} ± {self.killed_standard_error:.2g} of the weight "
+                f"instead of 0: {_ADVICE}"
             )
         if self.lost > _LOST_SHARE_LIMIT:
             raise AuditError(

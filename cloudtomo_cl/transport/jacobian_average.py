@@ -102,7 +102,7 @@ class JacobianAverage:
     ) -> None:
         """Adds the derivatives of the paths of so many pixels from one on."""
         near, far = self.structure.near, self.structure.far
-        device, features = self._operator.device, self._builder.features
+        device, features = self._operator.device, self._builder.path_features
         of_paths, of_rays = (device.kernel("jacobian", name, features) for name in ("jacobian_paths", "jacobian_rays"))
         left = rays(rendering)
         weight = rendering.samples / left

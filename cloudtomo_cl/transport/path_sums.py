@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cloudtomo_cl.opencl.layout import STRUCTS
+from cloudtomo_cl.opencl.layout import MOST_BRANCHES, STRUCTS
 from cloudtomo_cl.opencl.pace import Pace
 from cloudtomo_cl.transport.audit import Budget
 from cloudtomo_cl.transport.device_pixels import DevicePixels
@@ -15,6 +15,8 @@ from cloudtomo_cl.transport.medium import Medium
 from cloudtomo_cl.transport.rendering_memory import kept
 from cloudtomo_cl.transport.samples import Samples
 
+# Macro of kernels whose paths branch (kernels/walk/branches.h).
+BRANCHES = "CLOUDTOMO_BRANCHES"
 # The longest sum that a work item makes in one launch. Watchdogs end launches that take too long, and Mesa's llvmpipe
 # ends loops after 65,535 rounds without an error.
 _LONGEST_SUM = 1 << 15
@@ -26,13 +28,15 @@ class PathSums:
     Parameters
     ----------
     pace : of the launches
-    features : macros of the scene's kernels
-    branches : whether paths that are not stored branch
+    features : macros of kernels that walk these paths
     """
 
-    def __init__(self, pace: Pace, features: tuple[str, ...], branches: bool) -> None:
-        self._pace, self._features, self._branches = pace, features, branches
-        self._sum = pace.device.kernel("image", "sum_paths", features)
+    def __init__(self, pace: Pace, features: tuple[str, ...]) -> None:
+        self._pace = pace
+        self._branches = MOST_BRANCHES if BRANCHES in features else 0
+        self._render, self._sum = (
+            pace.device.kernel("image", name, features) for name in ("render_paths", "sum_paths")
+        )
 
     def of(
         self,
@@ -45,11 +49,10 @@ class PathSums:
     ) -> tuple[np.ndarray, list[tuple[int, Any]] | None]:
         """The sums of this rank's pixels, the kernels' PixelSums, shape (pixels,); and stored paths, by launches.
 
-        Of a launch there are the number of its first sample, and the radiances of its paths, float32.
+        Of a launch there are the number of its first sample, and the radiances of its paths, float32, shape (1, paths);
+        of paths that branch further rows with those of the branches (parameters.py).
         """
         count, device = len(pixels.shares), self._pace.device
-        branching = ("CLOUDTOMO_BRANCHES",) if self._branches and not store_paths else ()
-        render = device.kernel("image", "render_paths", (*self._features, *branching))
         host = np.empty(count, STRUCTS["PixelSums"])
         launches: list[tuple[int, Any]] = []
         if not count:
@@ -60,9 +63,13 @@ class PathSums:
         while done < samples.count:
             first = samples.first + done
             number = int(np.clip(self._pace.work_items // count, 1, samples.count - done))
-            paths = device.empty(number * count, np.float32)
+            stores_branches = bool(store_paths and self._branches)
+            paths = device.empty((1 + self._branches * stores_branches, number * count), np.float32)
             walk = pixels.paths(medium, first, number * count, samples.seed, samples.stream)
-            self._pace.launch(render, number * count, **walk, path_radiance=paths, budget=budget.data)
+            self._pace.launch(
+                self._render, number * count, **walk, path_radiance=paths, stores_branches=stores_branches,
+                budget=budget.data,
+            )  # fmt: skip
             for part in parts(number, _LONGEST_SUM):
                 device.launch(self._sum, count, paths, count, first, *part, sums)
             if store_paths:

@@ -27,7 +27,7 @@ from cloudtomo_cl.transport.device_scene import DeviceScene
 from cloudtomo_cl.transport.gradient import deposited
 from cloudtomo_cl.transport.launches import Launch, StoredLaunch
 from cloudtomo_cl.transport.medium import Medium
-from cloudtomo_cl.transport.path_sums import PathSums, statistics
+from cloudtomo_cl.transport.path_sums import BRANCHES, PathSums, statistics
 from cloudtomo_cl.transport.rendering import Rendering, joined
 from cloudtomo_cl.transport.rendering_memory import on_device, pixels_at_once, require_memory
 from cloudtomo_cl.transport.samples import Samples
@@ -48,7 +48,7 @@ class RadianceOperator:
     pixels : which pixels, an integer array (pixels, 2) of (view, row * width + column); all by default
     estimator : "branches" or "side-flights" (both: less noise under a forward peak; the mean is the same), or
         "plain", one local estimate at every interaction; by default branches if the asymmetry of the droplets is at
-        least 0.5. Paths that are stored have side flights in place of branches
+        least 0.5
 
     effective_radius : of the droplets, micrometres, shape of the grid, for a phase table of
         several radii; by default `scene.cloud.effective_radius` everywhere
@@ -110,7 +110,7 @@ class RadianceOperator:
         )
         self._pixels = DevicePixels(scene, views, self.device, pixels)
         self._pace = Pace(self.device)
-        self._path_sums = PathSums(self._pace, self.features, self.estimator == "branches")
+        self._path_sums = PathSums(self._pace, self.path_features)
         self._virtual_collisions = VirtualCollisions(self._device_scene)
 
     @renamed_arguments(iteration="stream", keep_paths="store_paths")
@@ -133,8 +133,7 @@ class RadianceOperator:
             `on_device` has returned
         samples : paths per pixel, even
         seed, stream : together with view, pixel and sample these determine every path
-        store_paths : keep what `gradient` needs (4 bytes per path on the device). Stored paths do not branch: other
-            paths than without it, with the same mean and more noise
+        store_paths : keep what `gradient` needs (4 bytes per path on the device, 20 with branches)
         progress : called with the number of samples done so far
         first_sample : number of the first path of every pixel, even
 
@@ -194,6 +193,15 @@ class RadianceOperator:
         """The same operator for other views that have the same pixels; see the class."""
         return self._with(self._pixels.of_views(views))
 
+    def without_branches(self) -> RadianceOperator:
+        """The same operator, with side flights alone if its paths branch."""
+        if self.estimator != "branches":
+            return self
+        other = copy.copy(self)
+        other.estimator = "side-flights"
+        other._path_sums = PathSums(other._pace, other.path_features)
+        return other
+
     def _with(self, pixels: DevicePixels) -> RadianceOperator:
         other = copy.copy(self)
         other._pixels = pixels
@@ -218,6 +226,11 @@ class RadianceOperator:
     def features(self) -> tuple[str, ...]:
         """Macros of kernels that walk through this scene."""
         return self._device_scene.features
+
+    @property
+    def path_features(self) -> tuple[str, ...]:
+        """Macros of kernels that walk the pixels' paths."""
+        return (*self.features, BRANCHES) if self.estimator == "branches" else self.features
 
     @property
     def scene_struct(self) -> Any:
@@ -304,7 +317,9 @@ class RadianceOperator:
             virtual_limit = self._virtual_collisions.limit(extinction, self._few_paths(rendering))
         virtual = self._virtual_collisions.extinction(extinction, virtual_limit)
         for launch in self.stored_launches(rendering):
-            self._virtual_collisions.run(launch, adjoint=factors, virtual_extinction=virtual, gradient=total)
+            self._virtual_collisions.run(
+                launch, self.path_features, adjoint=factors, virtual_extinction=virtual, gradient=total
+            )
 
     def _few_paths(self, rendering: Rendering) -> Launch:
         """About `FEW_PATHS` of a rendering, of pixels all over the images; every rank has all of them."""
@@ -325,13 +340,16 @@ class RadianceOperator:
         """
         if rendering._launches is None:
             raise DataError("this rendering kept no paths: render with store_paths=True (a copy of one has none)")
-        pixels: DevicePixels = rendering._operator._pixels
+        made_by: RadianceOperator = rendering._operator
+        if made_by.path_features != self.path_features:
+            raise DataError(f"this rendering is by {made_by.estimator}, not by {self.estimator}: give its own operator")
         astray = self.device.zeros(1, np.uint32)
         for first, stored_paths in rendering._launches:
-            paths = on_device(self.device, stored_paths)
-            walk = pixels.paths(rendering._medium, first, paths.size, rendering.seed, rendering.stream)
-            stored = {"path_radiance": paths, "astray": astray}
-            yield StoredLaunch(paths.size, self._pace, walk, paths.size // len(self.shares), stored)
+            radiances = on_device(self.device, stored_paths)
+            paths = radiances.shape[1]
+            walk = made_by._pixels.paths(rendering._medium, first, paths, rendering.seed, rendering.stream)
+            stored = {"path_radiance": radiances, "astray": astray}
+            yield StoredLaunch(paths, self._pace, walk, paths // len(self.shares), stored)
         check_replays(int(astray.get()[0]), rendering.samples * len(self.pixels))
 
     def images(self, values: np.ndarray) -> list[np.ndarray]:

@@ -44,7 +44,7 @@ class TableGradient:
         self._operator = operator
         self._builder = RadianceTableBuilder(operator)
         self._paths, self._rays = (
-            operator.device.kernel("derivatives", name, self._builder.features)
+            operator.device.kernel("derivatives", name, self._builder.path_features)
             for name in ("gradient_paths", "gradient_rays")
         )
 

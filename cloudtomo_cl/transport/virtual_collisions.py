@@ -37,19 +37,21 @@ class VirtualCollisions:
         """One of its kernels: most operators never replay a path, and need not have them."""
         return self._device.kernel(file, name, self._device_scene.features)
 
-    def run(self, launch: StoredLaunch, **arguments: Any) -> None:
+    def run(self, launch: StoredLaunch, features: tuple[str, ...], **arguments: Any) -> None:
         """Replays the paths of a launch, and walks those from their virtual collisions.
 
+        features : macros of kernels that walk the launch's paths
         arguments : adjoint, virtual_extinction, gradient; of both kernels
         """
+        replay = self._device.kernel("replay", "replay_paths", features)
         part = _PART * max(self._device.largest_launch // _LAUNCH, 1)
         size = min(part, launch.paths) * STRUCTS["VirtualCollision"].itemsize
         collisions = self._device.buffer(size)
         for begin in range(0, launch.paths, part):
             count = self._device.zeros(1, np.uint32)
             launch.run_part(
-                self._kernel("replay", "replay_paths"), begin, min(begin + part, launch.paths), **arguments,
-                virtual_collisions=collisions, virtual_collision_count=count,
+                replay, begin, min(begin + part, launch.paths), **arguments, virtual_collisions=collisions,
+                virtual_collision_count=count,
             )  # fmt: skip
             found = int(count.get()[0])
             if found:

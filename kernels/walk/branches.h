@@ -1,27 +1,38 @@
 /* Branches: where a path scatters, another may begin, in a direction around the sun. It waits until all that began
  * later have ended, and then is walked as the path itself is: it scatters, has side flights, and branches.
  *
- * Only with CLOUDTOMO_BRANCHES. The tally then has `Branches branches`, and on_branch(given, taken, tally) is called
- * when a path leaves the throughput `given` to branches and one of them takes `taken`, or none: their means are equal.
+ * Only with CLOUDTOMO_BRANCHES, and in kernels that call next_branch. There the tally has `Branches branches`, and the
+ * including file defines, before it includes this,
  *
- *   BRANCHES(tally)   declares the memory of a tally's branches; in a kernel, not in a branch of its code */
+ *   void on_branch(float given, float taken, tally)
+ *       a path leaves the throughput `given` to branches, and one of them takes `taken`, or none: the means are equal
+ *   void tally_new_branch(uint number, tally)
+ *       a branch has begun, and waits
+ *   void tally_next_branch(uint number, tally)
+ *       what was walked before has ended, and a branch is walked now
+ *
+ * budgeted.h and unbudgeted.h define the first. All but these is
+ *
+ *   BRANCHES(tally)               declares the memory of a tally's branches; in a kernel, not in a branch of its code
+ *   clear_branches(branches)      for a new path
+ *   next_branch(at, key, tally)   makes `at` the start of the branch that began last; returns false if none waits */
 #ifndef CLOUDTOMO_BRANCHES_H
 #define CLOUDTOMO_BRANCHES_H
 
 #include "walk/companions.h"
 #include "walk/roulette.h"
 
+inline void clear_branches(Branches *branches)
+{
+    branches->count = 0u;
+    branches->begun = 0u;
+    branches->walked = 0u;
+}
+
 #ifdef CLOUDTOMO_BRANCHES
 #define BRANCHES(tally) \
-    Branch tally##_waiting[MOST_WAITING]; \
+    Branch tally##_waiting[MOST_BRANCHES]; \
     tally.branches.waiting = tally##_waiting
-
-/* For a new path. */
-inline void clear_branches(Tally *tally)
-{
-    tally->branches.count = 0u;
-    tally->branches.walked = 0u;
-}
 
 /* Begins a branch, or not, and takes from the path what its branches bring. */
 inline void branch_off(const Medium *medium, KEPT Interaction *at, Companions companions, Densities own,
@@ -40,19 +51,20 @@ inline void branch_off(const Medium *medium, KEPT Interaction *at, Companions co
         taken = throughput * share_beside_each_other(densities);
         const float left = after_roulette(taken, u.z, tally);
         if (left > 0.0f) {
-            Branch *branch = tally->branches.waiting + tally->branches.count;
+            Branches *branches = &tally->branches;
+            Branch *branch = branches->waiting + branches->count++;
             branch->start = kept_ray(&at->ray);
             branch->start.direction = direction;
             branch->throughput = left;
             branch->own_share = share_beside_side_flights(densities);
             branch->event = at->event + 1u;
-            ++tally->branches.count;
+            branch->number = ++branches->begun;
+            tally_new_branch(branch->number, tally);
         }
     }
     on_branch(throughput - kept, taken, tally);
 }
 
-/* Makes `at` the start of the branch that began last; returns false if none waits. */
 inline bool next_branch(KEPT Interaction *at, KEPT SampleKey *key, Tally *tally)
 {
     Branches *branches = &tally->branches;
@@ -63,14 +75,13 @@ inline bool next_branch(KEPT Interaction *at, KEPT SampleKey *key, Tally *tally)
     at->throughput = branch->throughput;
     at->event = branch->event;
     tally->own_share = branch->own_share;
-    ++branches->walked;
-    key->view += BRANCH_VIEW;
+    key->view += (branch->number - branches->walked) * BRANCH_VIEW;
+    branches->walked = branch->number;
+    tally_next_branch(branch->number, tally);
     return true;
 }
 #else
 #define BRANCHES(tally)
-
-inline void clear_branches(Tally *tally) {}
 
 inline void branch_off(const Medium *medium, KEPT Interaction *at, Companions companions, Densities own,
                        const KEPT SampleKey *key, Tally *tally)

@@ -19,7 +19,7 @@
 inline float expected_branches(const KEPT Interaction *at, const Tally *tally)
 {
     const Branches *branches = &tally->branches;
-    if (branches->count >= MOST_WAITING || branches->walked >= MOST_BRANCHES)
+    if (branches->begun == MOST_BRANCHES)
         return 0.0f;
     return BRANCH_RATE * BRANCH_EVENTS / (BRANCH_EVENTS + (float)(at->event - 1u));
 }

@@ -31,15 +31,15 @@ typedef struct {
     float throughput;
     float own_share; /* share of the branch in the local estimate at its next collision */
     uint event;      /* number of the segment that begins there */
+    uint number;     /* 1, 2, ..., in the order in which a path's branches begin; 0 is the path itself */
 } Branch;
 
-/* The branches of a path: how many may wait, and after how many no more begin. */
-#define MOST_WAITING 4u
-#define MOST_BRANCHES 8u
+/* The branches of a path; MOST_BRANCHES (cloudtomo_cl/opencl/layout.py) is how many it may have. */
 typedef struct {
-    Branch *waiting; /* [MOST_WAITING] */
+    Branch *waiting; /* [MOST_BRANCHES] */
     uint count;      /* number of those that wait */
-    uint walked;     /* number of those that have begun to be walked */
+    uint begun;      /* number of those that have begun */
+    uint walked;     /* number of the one that is walked */
 } Branches;
 
 #endif

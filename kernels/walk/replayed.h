@@ -14,10 +14,10 @@ inline float adjoint_of(const __global float2 *adjoint, uint pixel_in_list, uint
     return sample & 1u ? halves.y : halves.x;
 }
 
-/* The part of a path's total radiance that is still to come; 0 if it is within rounding. */
-inline float remaining_radiance(float total, float radiance)
+/* What is still to come of the radiance, up to an `end`, of a path with the radiance `total`; 0 if it is within rounding. */
+inline float remaining_radiance(float end, float radiance, float total)
 {
-    const float rest = total - radiance;
+    const float rest = end - radiance;
     return rest > 4.0f * FLT_EPSILON * total ? rest : 0.0f;
 }
 

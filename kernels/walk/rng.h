@@ -53,7 +53,7 @@ inline SampleKey sample_key(uint seed, uint stream, uint2 pixel, uint sample)
 #define TABLE_PHOTONS_VIEW 0x10000000u
 #define ARRIVING_VIEW 0x10000001u
 #define ARRIVED_VIEW 0x10000002u
-/* Of a path's branches, in the order in which they are walked, each has this much more than the one before. */
+/* Of a path's branches, in the order in which they begin, each has this much more than the one before. */
 #define BRANCH_VIEW 0x00100000u
 
 /* Blocks of a path: block 0 places the ray in its pixel; event k = 1, 2, ... has the

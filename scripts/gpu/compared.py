@@ -51,7 +51,7 @@ def computed(name: str) -> dict[str, np.ndarray]:
     arrays: dict[str, np.ndarray] = {}
     with integer_sums() as sums:
         rendering = operator.render(extinction, _SAMPLES, _SEED, store_paths=True)
-        arrays["radiances of paths"] = np.concatenate([paths.get() for _, paths in rendering._launches])
+        arrays["radiances of paths"] = np.concatenate([paths.get()[0] for _, paths in rendering._launches])
         arrays["image"] = rendering.mean
         adjoint = np.linspace(0.5, 1.5, 2 * len(operator.pixels)).reshape(-1, 2)
         arrays["gradient"] = operator.gradient(rendering, adjoint, virtual_limit=0.5).get()

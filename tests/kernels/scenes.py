@@ -72,7 +72,7 @@ SCENES |= {
         GRID, Sun(zenith=65, azimuth=200), optics(0.7, 0.7), OUTSIDE_AIR, Surface(0.3), PERIODIC
     ),
 }
-ESTIMATORS = ["plain", "side-flights"]
+ESTIMATORS = ["plain", "side-flights", "branches"]
 
 
 def extinction_of(scene, seed=3):
@@ -91,7 +91,7 @@ def reference_paths(scene, extinction, operator, samples, seed, iteration, **opt
         [
             reference.path(
                 scene, extinction, operator.views[view], seed, iteration, view, pixel, sample,
-                operator.estimator != "plain", **options,
+                operator.estimator != "plain", with_branches=operator.estimator == "branches", **options,
             )
             for view, pixel in operator.pixels.astype(int)
         ]
@@ -104,13 +104,7 @@ def radiances(paths):
     return np.array([[sum(c.radiance for c in contributions) for contributions in row] for row in paths])
 
 
-def unstored_paths(operator, extinction, samples, seed, stream):
-    """Radiance of every path of a rendering that stores none, sr^-1, shape (samples, pixels)."""
-    pairs = [operator.render(extinction, 2, seed, stream, first_sample=n).halves for n in range(0, samples, 2)]
-    return np.concatenate([halves.T for halves in pairs]) / operator.scene.sun.irradiance
-
-
 def kernel_paths(rendering):
     """Radiance of every path of a rendering that kept them, shape (samples, pixels)."""
-    paths = np.concatenate([paths.get() for _, paths in rendering._launches])
+    paths = np.concatenate([paths.get()[0] for _, paths in rendering._launches])
     return paths.reshape(rendering.samples, -1).astype(float)

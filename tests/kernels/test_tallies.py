@@ -92,7 +92,7 @@ def pieces(request, device):
     count = SAMPLES * len(operator.pixels)
     sums = pyopencl.array.zeros(device.queue, (count, len(SUMS)), np.float32)
     device.launch(kernel, count, **operator._pixels.paths(rendering._medium, 0, count, SEED, 0), sums=sums)
-    return dict(zip(SUMS, sums.get().T)) | {"rendered": rendering._launches[0][1].get()}
+    return dict(zip(SUMS, sums.get().T)) | {"rendered": rendering._launches[0][1].get()[0]}
 
 
 def test_a_tally_of_its_own_walks_the_same_paths(pieces):

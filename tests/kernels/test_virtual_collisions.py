@@ -22,9 +22,9 @@ def deposits_of_the_kernels(operator, extinction, pixel, sample, limit):
 
 def deposits_of_the_reference(operator, extinction, virtual, pixel, sample, **options):
     view, index = (int(number) for number in operator.pixels[pixel])
-    sides = operator.estimator == "side-flights"
+    sides, branches = operator.estimator != "plain", operator.estimator == "branches"
     given = (operator.views[view], SEED, STREAM, view, index, sample, sides)
-    return path_deposits(operator.scene, extinction, virtual, *given, **options)
+    return path_deposits(operator.scene, extinction, virtual, *given, with_branches=branches, **options)
 
 
 def compare(operator, extinction, mask, limit=LIMIT, **options):

@@ -318,7 +318,7 @@ def _derivatives_of(problem: Problem, state: GaussNewtonState, seed: int) -> Jac
         return state.derivatives
     # The near field of a line of sight is chosen once in a stage, by the views at its start.
     begun = state.view_motions[0] if len(state.view_motions) else state.motions
-    derivatives = JacobianAverage(problem.with_motions(begun).operator)
+    derivatives = JacobianAverage(problem.with_motions(begun).operator.without_branches())
     for number, (stream, extinction, motions) in enumerate(zip(state.streams, state.extinctions, state.view_motions)):
         _LOGGER.info("replaying the paths of iteration %d of %d", number + 1, len(state.streams))
         _averaged_in(derivatives, number, problem.with_motions(motions), extinction, seed, int(stream))
@@ -332,8 +332,9 @@ def _averaged_in(
 
     iteration : number of the iteration, counted from 0
     """
-    samples = problem.paths_per_pixel()
-    rendering = problem.operator.render(problem.on_grid(extinction), samples, seed, stream, store_paths=True)
+    # Derivatives by the table take the mean of all light: branches would cost time, and bring them nothing.
+    operator, samples = problem.operator.without_branches(), problem.paths_per_pixel()
+    rendering = operator.render(problem.on_grid(extinction), samples, seed, stream, store_paths=True)
     derivatives.add(rendering, tail_rate(iteration))
     return rendering
 
