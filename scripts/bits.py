@@ -3,7 +3,7 @@
     PYTHONPATH=CHECKOUT python scripts/bits.py digests before.json    # of the package that Python finds there
     python scripts/bits.py compare before.json after.json             # exit status 1 if a digest differs
 
-For the scenes of the revision's tests/kernels/scenes.py under both estimators, a sparse cloud (open and periodic)
+For the scenes of the revision's tests/kernels/scenes.py under all estimators, a sparse cloud (open and periodic)
 whose empty blocks are skipped, and scene C where its file is (CLOUDTOMO_DATA, or ../shared/data): renders (plain,
 masked, truncated), audits, fluxes, replay gradients, the radiance table's gradient and Jacobian, a prior and
 solver steps. Classes are found by their names wherever they are in the package, so moves between modules do not
@@ -182,7 +182,7 @@ def small_cases() -> Iterator[Case]:
     for name, scene in scenes.SCENES.items():
         extinction = scenes.extinction_of(scene).astype(np.float32)
         radius = np.random.default_rng(6).uniform(5, 20, extinction.shape) if name == "phase table" else None
-        for estimator in ("plain", "side-flights"):
+        for estimator in scenes.ESTIMATORS:
             yield (
                 f"{name}, {estimator}",
                 lambda device, s=scene, e=extinction, k=estimator, r=radius: of_radiances(s, views, e, k, device, r),

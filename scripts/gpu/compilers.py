@@ -76,6 +76,7 @@ KERNELS = (
     KernelSource("image", "render_paths"),
     KernelSource("image", "render_paths", ("CLOUDTOMO_BRANCHES",), "render_paths, branches"),
     KernelSource("replay", "replay_paths"),
+    KernelSource("replay", "replay_paths", ("CLOUDTOMO_BRANCHES",), "replay_paths, branches"),
     KernelSource("virtual", "virtual_paths"),
     KernelSource("lengths", "path_lengths"),
     KernelSource("derivatives", "gradient_paths", TABLE_FEATURES),

@@ -9,7 +9,7 @@ import pytest
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 STORED = json.loads((SCRIPTS / "gpu" / "registers.json").read_text())
 # The kernels where a recovery's time goes; scripts/gpu_registers.py has more.
-KERNELS = ("render_paths", "replay_paths", "trace_photons")
+KERNELS = ("render_paths, branches", "render_paths", "replay_paths, branches", "trace_photons")
 
 
 @pytest.fixture(scope="module")

@@ -179,3 +179,35 @@ def test_two_renderings_as_one_have_no_gradient(device):
     )
     with pytest.raises(DataError, match="kept no paths"):
         operator.gradient(pooled(first, second), np.ones((9, 2)))
+
+
+def test_a_rendering_is_replayed_by_paths_of_its_own_estimator(device):
+    scene = SCENES["forward peak"]
+    operator = RadianceOperator(scene, [ABOVE], device)
+    rendering = operator.render(extinction_of(scene), 8, store_paths=True)
+    with pytest.raises(DataError, match="by branches, not by side-flights"):
+        operator.without_branches().gradient(rendering, np.ones((9, 2)))
+
+
+def test_an_operator_without_branches_has_the_paths_of_side_flights(device):
+    scene = SCENES["forward peak"]
+    extinction = extinction_of(scene)
+    operator = RadianceOperator(scene, [ABOVE], device)
+    expected = RadianceOperator(scene, [ABOVE], device, estimator="side-flights").render(extinction, 8)
+    np.testing.assert_array_equal(operator.without_branches().render(extinction, 8).halves, expected.halves)
+    assert operator.estimator == "branches" and not np.array_equal(operator.render(extinction, 8).mean, expected.mean)
+    plain = RadianceOperator(scene, [ABOVE], device, estimator="plain")
+    assert plain.without_branches() is plain
+
+
+def test_renderings_of_other_estimators_are_pooled_by_the_share_that_is_given(device):
+    scene = SCENES["forward peak"]
+    operator = RadianceOperator(scene, [ABOVE], device)
+    first, second = (one.render(extinction_of(scene), 8, 1) for one in (operator, operator.without_branches()))
+    both = pooled(first, second, 0.8)
+    np.testing.assert_allclose(both.mean, 0.8 * first.mean + 0.2 * second.mean)
+    np.testing.assert_allclose(both.halves, 0.8 * first.halves + 0.2 * second.halves)
+    np.testing.assert_allclose(
+        both.standard_error**2, (0.8 * first.standard_error) ** 2 + (0.2 * second.standard_error) ** 2
+    )
+    assert both.samples == 16

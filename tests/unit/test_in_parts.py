@@ -67,7 +67,7 @@ def test_paths_that_the_device_does_not_hold_are_stored_on_the_machine(device, s
     monkeypatch.setattr("cloudtomo_cl.opencl.device._FIRST_LAUNCH", 6400)
     monkeypatch.setattr("cloudtomo_cl.opencl.device._LARGEST_LAUNCH", 6400)
     monkeypatch.setattr("cloudtomo_cl.opencl.memory._STORED_SHARE", 6e-4)
-    devices, found = (device, small(100_000_000)), []
+    devices, found = (device, small(300_000_000)), []
     for one in devices:
         operator = ct.RadianceOperator(SCENE, [VIEW], one, mask=MASK)
         rendering = operator.render(extinction(), 8, seed=3, store_paths=True)
