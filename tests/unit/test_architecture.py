@@ -26,7 +26,7 @@ KNOWN_BY = {
     "miepython": ("clouds/mie.py",),
     "mpi4py": ("parallel/mpi.py",),
 }
-LINES_OF_FILE, LINES_OF_FUNCTION, CONDITIONALS_OF_WALK = 500, 60, 9
+LINES_OF_FILE, LINES_OF_FUNCTION, CONDITIONALS_OF_WALK = 500, 60, 11
 # What is longer, how long it may be, and why.
 LONGER_FILES = {
     "cloudtomo_cl/reference/paths.py": 545,  # the twin of kernels/walk, in one piece to read it beside them
