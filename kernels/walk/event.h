@@ -22,7 +22,7 @@ typedef struct {
     uint event;               /* number of the segment that ends here */
     KeptVector new_direction; /* direction in which the path goes on */
     float u_estimate;         /* uniform number for the roulette on the local estimate */
-    float u_companions;     /* uniform number for the numbers of side flights and of branches */
+    float u_companions;       /* uniform number for the numbers of side flights and of branches */
 } Interaction;
 
 /* A path that begins where another scatters (branches.h). */

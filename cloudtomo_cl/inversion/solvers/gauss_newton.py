@@ -201,9 +201,9 @@ class GaussNewton:
         """The rendering for the derivatives, pooled with further paths for the images.
 
         There are no more than it takes for their noise to be small beside the misfit or beside the measured images'
-        noise. They are not stored, so that they may branch: how much noise they have, the first of them tell.
+        noise. They may branch, and so have less noise: how much, the first of them tell.
 
-        operator : which has made it
+        operator : which renders them, and the same but for branches has made the first
         drawn : seed and stream
         """
 
@@ -221,7 +221,7 @@ class GaussNewton:
             return first
         values = problem.on_grid(state.extinction)
         further = rendered(1, 2)
-        # Inverse squares of noise add up.
+        # What paths of both kinds bring adds up as the inverse of their noise.
         missing = 1 - bearable / noise_in(first)
         end = self.image_samples + 1
         if missing * noise_in(further) < self.image_samples * bearable:
