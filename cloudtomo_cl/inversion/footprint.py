@@ -14,6 +14,7 @@ from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.scene.grid import coarsened
 from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
+from cloudtomo_cl.transport.radiance import BRANCHING_G
 from cloudtomo_cl.transport.rendering_memory import footprint
 from cloudtomo_cl.transport.tiles import about_how_many_entries
 
@@ -50,7 +51,8 @@ def stage_footprint(
 
     Parameters
     ----------
-    solver : solver, whose method `footprint(pixels, voxels, longest, entries)` gives what it keeps
+    solver : solver, whose method `footprint(pixels, voxels, longest, entries)` gives what it keeps; `stores_branches`
+        False: the paths that it stores do not branch
     mask : voxels that may hold cloud, bool, on the scene's grid; None: all pixels and voxels count, but nothing that
         the solver keeps
     ranks : number of ranks that share the pixels; the result is for one of them
@@ -63,7 +65,8 @@ def stage_footprint(
     pixels = sum(image.size for image in measurements.images)
     what = f"a reconstruction with {shape_text(stage.grid)} voxels and {pixels} pixels"
     require_countable(max(voxels, finest), pixels, what)
-    needed = footprint(voxels, pixels, pixels * (stage.samples or 0) // ranks)
+    branches = getattr(solver, "stores_branches", True) and scene.cloud.phase_function.g >= BRANCHING_G
+    needed = footprint(voxels, pixels, pixels * (stage.samples or 0) // ranks, branches)
     needed += Footprint(_PRIOR_BYTES_PER_VOXEL * voxels, 8 * voxels, _HOST_BYTES_PER_VOXEL * (voxels + finest))
     if mask is not None and hasattr(solver, "footprint"):
         kept, coarse = coarsened(mask, stage.grid), replace(scene, grid=scene.grid.with_shape(stage.grid))

@@ -10,6 +10,7 @@ from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.opencl.fixed_point import overflow
 from cloudtomo_cl.opencl.layout import DERIVATIVE_UNIT
+from cloudtomo_cl.transport.directions import FEATURES
 from cloudtomo_cl.transport.jacobian import SLOTS_AT_ONCE, Jacobian
 from cloudtomo_cl.transport.jacobian_columns import columns_of
 from cloudtomo_cl.transport.jacobian_structure import JacobianStructure
@@ -102,7 +103,7 @@ class JacobianAverage:
     ) -> None:
         """Adds the derivatives of the paths of so many pixels from one on."""
         near, far = self.structure.near, self.structure.far
-        device, features = self._operator.device, self._builder.path_features
+        device, features = self._operator.device, (*rendering.path_features, *FEATURES)
         of_paths, of_rays = (device.kernel("jacobian", name, features) for name in ("jacobian_paths", "jacobian_rays"))
         left = rays(rendering)
         weight = rendering.samples / left

@@ -33,6 +33,8 @@ from cloudtomo_cl.transport.rendering_memory import on_device, pixels_at_once, r
 from cloudtomo_cl.transport.samples import Samples
 from cloudtomo_cl.transport.virtual_collisions import FEW_PATHS, VirtualCollisions
 
+# Asymmetry of the droplets from which paths branch by default.
+BRANCHING_G = 0.5
 Estimator = Literal["branches", "side-flights", "plain"]
 
 
@@ -102,7 +104,9 @@ class RadianceOperator:
             )
         self.scene = scene
         self.device = device or choose_device()
-        self.estimator: Estimator = estimator or ("branches" if scene.cloud.phase_function.g >= 0.5 else "plain")
+        self.estimator: Estimator = estimator or (
+            "branches" if scene.cloud.phase_function.g >= BRANCHING_G else "plain"
+        )
         if pixels is None:
             require_memory(self.device, scene.grid.shape, sum(voxels_of(view.pixels) for view in views))
         self._device_scene = DeviceScene(
@@ -318,7 +322,7 @@ class RadianceOperator:
         virtual = self._virtual_collisions.extinction(extinction, virtual_limit)
         for launch in self.stored_launches(rendering):
             self._virtual_collisions.run(
-                launch, self.path_features, adjoint=factors, virtual_extinction=virtual, gradient=total
+                launch, rendering.path_features, adjoint=factors, virtual_extinction=virtual, gradient=total
             )
 
     def _few_paths(self, rendering: Rendering) -> Launch:
@@ -341,8 +345,6 @@ class RadianceOperator:
         if rendering._launches is None:
             raise DataError("this rendering kept no paths: render with store_paths=True (a copy of one has none)")
         made_by: RadianceOperator = rendering._operator
-        if made_by.path_features != self.path_features:
-            raise DataError(f"this rendering is by {made_by.estimator}, not by {self.estimator}: give its own operator")
         astray = self.device.zeros(1, np.uint32)
         for first, stored_paths in rendering._launches:
             radiances = on_device(self.device, stored_paths)

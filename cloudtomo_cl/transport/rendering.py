@@ -52,6 +52,11 @@ class Rendering:
         numbers = (self.mean, self.standard_error, self.halves, self.samples, self.seed, self.stream, self.audit)
         return Rendering, (*numbers, None)
 
+    @property
+    def path_features(self) -> tuple[str, ...]:
+        """Macros of kernels that walk its paths again."""
+        return self._operator.path_features
+
     def to_dataset(self) -> Any:
         """Its images as an xarray Dataset, with views, units and standard errors: see `measurements_dataset`.
 

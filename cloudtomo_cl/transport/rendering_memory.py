@@ -7,12 +7,13 @@ from typing import Any
 from cloudtomo_cl.memory import require_countable, shape_text, voxels_of
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device
+from cloudtomo_cl.opencl.layout import MOST_BRANCHES
 from cloudtomo_cl.opencl.memory import Footprint, stored_on_device
 
 # Of a device's memory, what a rendering may take: drivers take some, and other arrays are there.
 _SHARE = 0.9
-# On the device: extinction and what skips empty blocks; sums; stored paths. On the host: what sums become.
-_BYTES_PER_VOXEL, _BYTES_PER_PIXEL, _BYTES_PER_PATH, _HOST_BYTES_PER_PIXEL = 8, 48, 4, 160
+# On the device: extinction and what skips empty blocks; sums; a stored path or branch. On the host: what sums become.
+_BYTES_PER_VOXEL, _BYTES_PER_PIXEL, _BYTES_OF_RADIANCE, _HOST_BYTES_PER_PIXEL = 8, 48, 4, 160
 # Of that of a pixel, what it takes while it is rendered, and what its place in the list of all takes; and the largest
 # of its arrays.
 _BYTES_AT_ONCE, _BYTES_OF_LIST, _LARGEST_BYTES = 40, 8, 24
@@ -38,11 +39,15 @@ def on_device(device: Device, paths: Any) -> DeviceArray:
     return paths if device.is_array(paths) else device.array(paths)
 
 
-def footprint(voxels: int, pixels: int, stored_paths: int = 0) -> Footprint:
-    """What a `RadianceOperator` takes to render a grid: counted over arrays that live at the same time, rounded up."""
+def footprint(voxels: int, pixels: int, stored_paths: int = 0, branches: bool = True) -> Footprint:
+    """What a `RadianceOperator` takes to render a grid: counted over arrays that live at the same time, rounded up.
+
+    branches : whether stored paths branch
+    """
+    of_path = _BYTES_OF_RADIANCE * (1 + MOST_BRANCHES * branches)
     device = _BYTES_PER_VOXEL * voxels + _BYTES_PER_PIXEL * pixels
     largest = max(_BYTES_PER_VOXEL // 2 * voxels, _LARGEST_BYTES * pixels)
-    return Footprint(device, largest, _HOST_BYTES_PER_PIXEL * pixels, _BYTES_PER_PATH * stored_paths)
+    return Footprint(device, largest, _HOST_BYTES_PER_PIXEL * pixels, of_path * stored_paths)
 
 
 def require_memory(device: Device, shape: tuple[int, ...], pixels: int) -> None:

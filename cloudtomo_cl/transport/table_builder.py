@@ -37,7 +37,6 @@ class RadianceTableBuilder:
     column : of every voxel of the grid, its number among those of the mask, or -1; int32, on the device
     columns : number of voxels of the mask
     features : macros of kernels that take a table
-    path_features : those of kernels that walk the pixels' paths, too
 
     Raises
     ------
@@ -57,7 +56,6 @@ class RadianceTableBuilder:
         self.column = device.constant(column)
         self._voxel = device.constant(np.flatnonzero(mask).astype(np.int32))
         self.features = (*operator.features, *FEATURES)
-        self.path_features = (*operator.path_features, *FEATURES)
         self._direct_sunlight = device.kernel("derivatives", "direct_sunlight", self.features)
         self._tabulate = device.kernel("photons", "tabulate", self.features)
         self._photons = Photons(operator, self.features)

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from cloudtomo_cl.opencl.arrays import DeviceArray
+from cloudtomo_cl.transport.directions import FEATURES
 from cloudtomo_cl.transport.gradient import deposited
 from cloudtomo_cl.transport.radiance import RadianceOperator
 from cloudtomo_cl.transport.radiance_table import RadianceTable
@@ -43,10 +44,6 @@ class TableGradient:
     def __init__(self, operator: RadianceOperator) -> None:
         self._operator = operator
         self._builder = RadianceTableBuilder(operator)
-        self._paths, self._rays = (
-            operator.device.kernel("derivatives", name, self._builder.path_features)
-            for name in ("gradient_paths", "gradient_rays")
-        )
 
     def gradient(
         self, rendering: Rendering, adjoint: np.ndarray, change: DeviceArray | None = None
@@ -85,14 +82,18 @@ class TableGradient:
         if change is None:
             change = operator.device.zeros(operator.scene.grid.shape, np.float32)
         arguments = table.arguments | {"adjoint": factors, "change": change, "gradient": total}
+        features = (*rendering.path_features, *FEATURES)
+        along_paths, along_rays = (
+            operator.device.kernel("derivatives", name, features) for name in ("gradient_paths", "gradient_rays")
+        )
         tangent, left = np.zeros(len(operator.shares)), rays(rendering)
         weight, pixels = rendering.samples / left, len(tangent)
         for launch in operator.stored_launches(rendering):
             of_paths = operator.device.empty(launch.paths, np.float32)
-            launch.run(self._paths, **arguments, path_tangent=of_paths)
+            launch.run(along_paths, **arguments, path_tangent=of_paths)
             tangent = _added_in_order(tangent, of_paths.get().reshape(-1, pixels))
             of_rays = operator.device.empty(launch.paths, np.float32)
-            done = launch.run_rays(self._rays, pixels, left, **arguments, ray_tangent=of_rays, weight=weight)
+            done = launch.run_rays(along_rays, pixels, left, **arguments, ray_tangent=of_rays, weight=weight)
             tangent = _added_in_order(tangent, of_rays.get()[: done * pixels].reshape(-1, pixels))
             left -= done
         return tangent

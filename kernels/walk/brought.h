@@ -1,5 +1,6 @@
-/* The radiance that each branch of a path brings, with those that begin on it: for path replay (replay.cl). The tally
- * has `Brought brought`, and calls open_branch where a branch begins to be walked, and end_branches where a walk ends. */
+/* The radiance that each branch of a path brings, with those that begin on it: for path replay (replay.cl). A tally
+ * calls await_branch where a branch begins, open_branch where it begins to be walked, and end_branches where a walk
+ * ends. */
 #ifndef CLOUDTOMO_BROUGHT_H
 #define CLOUDTOMO_BROUGHT_H
 

@@ -49,9 +49,10 @@ inline void close_group_budget(BudgetSums group, volatile __global Accumulator *
 
 typedef struct {
     /* Volatile, so that they stay in memory: an event adds to one or two, and GPUs lack registers. */
-    volatile float absorbed;        /* weight absorbed by droplets and molecules */
-    volatile float surface;         /* weight absorbed by the surface */
-    volatile float killed;          /* minus the weight that survived roulettes have added */
+    volatile float absorbed; /* weight absorbed by droplets and molecules */
+    volatile float surface;  /* weight absorbed by the surface */
+    volatile float
+        killed; /* less what survived roulettes have added; and what was left to branches, less what they took */
     volatile float killed_variance; /* variance of the killed weight */
     volatile float truncated;       /* radiance cut off by truncation, sr^-1 */
 } Budget;
@@ -81,8 +82,8 @@ inline void budget_roulette(KEPT Budget *budget, float throughput, float raised,
         budget->killed -= raised - throughput;
 }
 
-/* Records that a path has left the throughput `given` to branches, of which one, or none, has taken `taken`: a game with
- * as fair a mean as a roulette's, whose square is its variance. */
+/* Records that a path has left the throughput `given` to branches, of which one, or none, has taken `taken`: as a
+ * roulette, a game with the mean 0; the square is its variance. */
 inline void budget_branch(KEPT Budget *budget, float given, float taken)
 {
     budget->killed += given - taken;

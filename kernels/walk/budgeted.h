@@ -1,5 +1,5 @@
-/* For tallies with an energy budget: a path's own in `budget`, and those of all paths in `sums`. They say themselves what
- * an absorption is. */
+/* For tallies with an energy budget: a path's own in `budget`, and those of all paths in `sums`. They say themselves
+ * what an absorption is. */
 #ifndef CLOUDTOMO_BUDGETED_H
 #define CLOUDTOMO_BUDGETED_H
 

@@ -8,7 +8,8 @@
 #include "walk/medium.h"
 
 /* Side flights: expected number per unit of throughput x phase function (sr), and its bounds. Branches: expected number
- * at the first event, and after how many events it has halved, for branches of deep clouds cost more than they bring. Found by measurement: docs/decisions/forward-peak.md. */
+ * at the first event, and after how many events it has halved, for branches of deep clouds cost more than they bring.
+ * Found by measurement: docs/decisions/forward-peak.md. */
 #define SIDE_FLIGHT_LEAST 0.05f
 #ifdef CLOUDTOMO_BRANCHES
 #define SIDE_FLIGHT_RATE 12.0f

@@ -11,7 +11,7 @@
  *   void on_interaction(medium, const Segment *segment, const Flight *flight, const Interaction *at, tally)
  *       the segment ends in a collision, or at the surface
  *   void on_scattering(medium, Interaction *at, const SampleKey *key, tally)
- *       the path goes on from there, in at->new_direction
+ *       the path goes on from there, in at->new_direction; at->throughput may be lowered by what branches take
  *   void on_absorption(medium, const Interaction *at, float weight, tally)
  *       the path's throughput is reduced by `weight`
  *   void on_roulette(float throughput, float raised, bool survives, tally)
@@ -19,8 +19,8 @@
  *   void on_termination(Termination termination, float throughput, tally)
  *       the path ends with the given throughput
  *
- * radiance.h defines the first four for paths from cameras; budgeted.h has the last two for the audit, unbudgeted.h empty
- * ones of the last three. Radiances inside a path are for a sun of irradiance 1; the host scales them.
+ * radiance.h defines the first four for paths from cameras; budgeted.h has the last two for the audit, unbudgeted.h
+ * empty ones of the last three. Radiances inside a path are for a sun of irradiance 1; the host scales them.
  */
 #ifndef CLOUDTOMO_PATH_H
 #define CLOUDTOMO_PATH_H
@@ -96,8 +96,8 @@ inline bool walk_event(const Medium *medium, KEPT Interaction *at, const KEPT Sa
     return true;
 }
 
-/* Walks a path from an interaction as far as a work item does before it looks for another path (turns.h): to its end, or
- * to the next interaction. Returns false if the path has ended. */
+/* Walks a path from an interaction as far as a work item does before it looks for another path (turns.h): to its end,
+ * or to the next interaction. Returns false if the path has ended. */
 inline bool walk_turn(const Medium *medium, KEPT Interaction *at, const KEPT SampleKey *key, Tally *tally)
 {
     bool walks;

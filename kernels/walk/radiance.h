@@ -1,5 +1,5 @@
 /* Radiance by paths from the cameras (backward Monte Carlo): every interaction adds a local estimate of the
- * sunlight, and side flights add the local estimates of the next order of scattering.
+ * sunlight, and side flights add the local estimates of the next order of scattering. Paths may branch (branches.h).
  *
  * The including file defines, before it includes this, the struct `Tally` with at least
  *
@@ -21,8 +21,9 @@
  *   void tally_shadow_ray(medium, const Ray *from, const LocalEstimate *estimate, tally)
  *       a local estimate has been made
  *
- * and on_absorption, on_roulette and on_termination of path.h. A tally that flies a segment again, to deposit
- * something in the voxels that it crosses, defines a traversal for that (traversal.h).
+ * and on_absorption, on_roulette and on_termination of path.h; where paths branch, what branches.h says. A tally that
+ * flies a segment again, to deposit something in the voxels that it crosses, defines a traversal for that
+ * (traversal.h).
  */
 #ifndef CLOUDTOMO_RADIANCE_H
 #define CLOUDTOMO_RADIANCE_H

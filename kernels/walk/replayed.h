@@ -14,7 +14,7 @@ inline float adjoint_of(const __global float2 *adjoint, uint pixel_in_list, uint
     return sample & 1u ? halves.y : halves.x;
 }
 
-/* What is still to come of the radiance, up to an `end`, of a path with the radiance `total`; 0 if it is within rounding. */
+/* What is still to come of a path's radiance up to an `end`; 0 if it is within the rounding of the path's `total`. */
 inline float remaining_radiance(float end, float radiance, float total)
 {
     const float rest = end - radiance;

@@ -45,6 +45,14 @@ def test_what_does_not_add_up_is_an_error(change, message):
         replace(SOUND, **change).check(1000)
 
 
+def test_few_paths_may_end_otherwise_than_their_own_spread_tells():
+    """What branches take is rare and large: of six paths hardly any shows how much it may be."""
+    few = replace(SOUND, launched=6, top=-0.226, killed=0.726, killed_standard_error=0.1)
+    few.check(6)
+    with pytest.raises(AuditError, match="roulettes and branches took 0.726"):
+        replace(few, launched=600).check(600)
+
+
 def test_audits_combine_by_their_paths():
     both = combined([SOUND, replace(SOUND, launched=3000, top=0.7, absorbed=0.0)])
     assert both.launched == 4000

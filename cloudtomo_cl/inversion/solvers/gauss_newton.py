@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass as plain_dataclass
 from dataclasses import replace
 from math import ceil
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -48,6 +48,8 @@ _TRUSTED_DEPTH, _TRUSTED_GROWTH = 1 / 3, 1.3
 # A rendering's noise of up to this share of the misfit, or this multiple of the measured images' noise, needs no
 # further paths for the images.
 _NOISE_OF_MISFIT, _NOISE_OF_MEASURED = 0.1, 2.0
+# Variance of a path that does not branch over that of one that does (docs/decisions/forward-peak.md).
+_WORTH_OF_BRANCHING = 2.5
 # Largest number of paths of an iteration, as a multiple of the default.
 _MOST_PATHS = 1000
 
@@ -123,6 +125,7 @@ class GaussNewton:
     inner_iterations : largest number of iterations of the minimisation of the quadratic model
     """
 
+    stores_branches: ClassVar[bool] = False
     type: Literal["gauss-newton"] = "gauss-newton"
     iterations: Count | None = None
     start: Positive | None = None
@@ -198,38 +201,28 @@ class GaussNewton:
         self, problem: Problem, operator: RadianceOperator, state: GaussNewtonState, first: Rendering,
         drawn: tuple[int, int],
     ) -> Rendering:  # fmt: skip
-        """The rendering for the derivatives, pooled with further paths for the images.
+        """The rendering for the derivatives, pooled with further paths for the images, which may branch.
 
         There are no more than it takes for their noise to be small beside the misfit or beside the measured images'
-        noise. They may branch, and so have less noise: how much, the first of them tell.
+        noise.
 
         operator : which renders them, and the same but for branches has made the first
         drawn : seed and stream
         """
-
-        def noise_in(rendering: Rendering) -> float:
-            return noise_of(rendering.standard_error**2, problem.weights)
-
-        def rendered(begin: int, end: int) -> Rendering:
-            samples = (end - begin) * first.samples
-            return operator.render(values, samples, *drawn, first_sample=begin * first.samples)
-
         cost, error = _cost(problem, first.halves, state)
         measured = noise_of(problem.active.variance, problem.weights)
         bearable = max(_NOISE_OF_MISFIT * (cost - 2 * error), _NOISE_OF_MEASURED * measured)
-        if not self.image_samples or noise_in(first) <= bearable:
+        noise = noise_of(first.standard_error**2, problem.weights)
+        # Not by the noise that these paths show: those that miss rare bright ones would count for more.
+        worth = _WORTH_OF_BRANCHING if operator.estimator == "branches" else 1.0
+        times = self.image_samples
+        if noise < (1 + times * worth) * bearable:
+            times = max(ceil((noise / bearable - 1) / worth), 0)
+        if not times:
             return first
-        values = problem.on_grid(state.extinction)
-        further = rendered(1, 2)
-        # What paths of both kinds bring adds up as the inverse of their noise.
-        missing = 1 - bearable / noise_in(first)
-        end = self.image_samples + 1
-        if missing * noise_in(further) < self.image_samples * bearable:
-            end = 1 + ceil(missing * noise_in(further) / bearable)
-        if end > 2:
-            further = pooled(further, rendered(2, end))
-        share = noise_in(further) / (noise_in(first) + noise_in(further))
-        return pooled(first, further, share)
+        values, samples = problem.on_grid(state.extinction), times * first.samples
+        further = operator.render(values, samples, *drawn, first_sample=first.samples)
+        return pooled(first, further, 1 / (1 + times * worth))
 
     def _minimised(
         self, problem: Problem, state: GaussNewtonState, seed: int, stream: int
@@ -332,7 +325,7 @@ def _averaged_in(
 
     iteration : number of the iteration, counted from 0
     """
-    # Derivatives by the table take the mean of all light: branches would cost time, and bring them nothing.
+    # Derivatives by the table take the mean of all light along a flight: branches find light that is rare, at a cost.
     operator, samples = problem.operator.without_branches(), problem.paths_per_pixel()
     rendering = operator.render(problem.on_grid(extinction), samples, seed, stream, store_paths=True)
     derivatives.add(rendering, tail_rate(iteration))
