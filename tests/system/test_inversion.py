@@ -164,7 +164,7 @@ def distance_but_for_a_shift(off, across):
 
 def test_noisier_images_give_larger_standard_errors(problem, device):
     scene, measurements, truth = problem
-    noise = ct.Noise(signal_to_noise=10)
+    noise = ct.Noise(signal_to_noise=5)
     stages = (ct.Stage(grid=(8, 8, 8), iterations=4),)
     fine, noisy = (
         recover((scene, images, truth), device, stages=stages, uncertainty=10).standard_error
