@@ -55,7 +55,7 @@ def test_errors_of_pixels_hold_what_they_should(renderings, samples):
 
 
 def test_weights_by_errors_keep_the_brightness(renderings):
-    """Of the bright pixels, at 16 paths: their own errors make it two thirds or less, for what is dark is taken for sure.
+    """Of the bright pixels, at 16 paths: their own errors make it two thirds or less, for the dark is taken for sure.
 
     The eight means of 70 pixels or more have a standard error of 0.03 together.
     """
