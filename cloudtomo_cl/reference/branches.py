@@ -120,11 +120,7 @@ class Branches:
         self._scene = scene
         self.waiting: list[Branch] = []
         self.begun = 0
-        self._kept = 1.0
-
-    def kept(self, event: Event) -> float:
-        """The share of the path's weight that the branches of the last event leave to it."""
-        return self._kept
+        self.kept = 1.0  # share of the path's weight that the branches of the last event leave to it
 
     def next(self) -> Branch | None:
         """The branch to be walked now; its random numbers have `number` times BRANCH_VIEW added to their view."""
@@ -140,20 +136,26 @@ class Branches:
         self, event: Event, companions: Companions, u_companions: float, block: Callable[[int], np.ndarray]
     ) -> None:
         """Begins a branch at an event, or none."""
-        self._kept = companions.share_beside_each_other(event.particle, event.direction, event.onward)
+        self.kept = companions.share_beside_each_other(event.particle, event.direction, event.onward)
         if u_companions >= companions.branches:
             return
         u = block(BLOCKS_PER_EVENT * event.number + BLOCK_BRANCH)
         sun = self._scene.sun.direction
         direction = direction_around(sun, sample_henyey_greenstein(u[0], wide_g(self._scene)), u[1])
         weight = event.survivor * companions.share_beside_each_other(event.particle, event.direction, direction)
-        if weight < PATH_ROULETTE_WEIGHT:
-            weight = PATH_ROULETTE_WEIGHT if u[2] * PATH_ROULETTE_WEIGHT < weight else 0.0
+        weight = after_roulette(weight, u[2])
         if weight:
             share = companions.share_beside_side_flights(event.particle, event.direction, direction)
             self.begun += 1
             branch = Branch(event.position, direction, weight, event.number, self.begun, share, event.history)
             self.waiting.append(branch)
+
+
+def after_roulette(weight: float, u: float) -> float:
+    """The weight that a path goes on with; 0 if it ends."""
+    if weight >= PATH_ROULETTE_WEIGHT:
+        return weight
+    return PATH_ROULETTE_WEIGHT if u * PATH_ROULETTE_WEIGHT < weight else 0.0
 
 
 def companions_at(scene: Scene, event: Event, branches: Branches | None) -> Companions:

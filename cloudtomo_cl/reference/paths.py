@@ -21,11 +21,11 @@ import numpy as np
 from cloudtomo_cl.reference.branches import (
     BLOCKS_PER_EVENT,
     BRANCH_VIEW,
-    PATH_ROULETTE_WEIGHT,
     Branch,
     Branches,
     Companions,
     Event,
+    after_roulette,
     companions_at,
 )
 from cloudtomo_cl.reference.flights import Flight, camera_ray, fly, met_particle
@@ -170,7 +170,7 @@ def walk(
     virtual: np.ndarray | None = None,
     flown: Callable[[int, np.ndarray, np.ndarray, float, float], None] = lambda *_: None,
     start: VirtualCollision | Branch | None = None,
-    kept: Callable[[Event], float] = lambda _: 1.0,
+    branches: Branches | None = None,
 ) -> Iterator[Event]:
     """The random walk.
 
@@ -183,7 +183,7 @@ def walk(
     virtual : as in `met_particle`
     flown : called with event number, start, direction, length (km) and weight of every flight
     start : a virtual collision: begins with scattering by a droplet there, instead of a flight; or a branch
-    kept : called with every event where the path goes on: the share of its weight that branches leave to it
+    branches : those of the path, which leave it a share of its weight
 
     Source: docs/reference/random-numbers.md.
     """
@@ -219,15 +219,12 @@ def walk(
             particle, albedo = Particle("surface"), scene.surface.albedo
             position = position + direction * (position[2] / -direction[2])
             position[2] = 0.0
-        survivor = weight * albedo
-        if survivor < PATH_ROULETTE_WEIGHT:
-            survivor = PATH_ROULETTE_WEIGHT if v[1] * PATH_ROULETTE_WEIGHT < survivor else 0.0
+        survivor = after_roulette(weight * albedo, v[1])
         onward = scatter(scene, particle, direction, u[2], u[3])
-        event = Event(number, position, direction, particle, albedo, weight, survivor, onward, history)
-        yield event
+        yield Event(number, position, direction, particle, albedo, weight, survivor, onward, history)
         if survivor == 0:
             return
-        weight, direction = survivor * kept(event), onward
+        weight, direction = survivor * (branches.kept if branches else 1.0), onward
 
 
 def path(
@@ -289,8 +286,8 @@ def walks(
     """
     (position, direction), share, block, branch = first, 1.0, blocks(0), None
     while True:
-        kept = branches.kept if branches else lambda _: 1.0
-        path = walk(scene, extinction, effective_radius, position, direction, block, start=branch, kept=kept, **watched)
+        ray = (position, direction, block)
+        path = walk(scene, extinction, effective_radius, *ray, start=branch, branches=branches, **watched)
         yield path, share, block
         branch = branches.next() if branches else None
         if branch is None:
