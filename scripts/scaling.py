@@ -1,12 +1,14 @@
 """How recoveries scale with ranks: what one and two take here, and a model of many.
 
     python scripts/scaling.py measure scaling.json       # scene C: two threads of one process, and two ranks, in turn
+    python scripts/scaling.py measure memory.json --repeats 1 --kinds memory    # the memory of a cloud of 128^3 voxels
     python scripts/scaling.py efficiency scaling.json    # what came of it: two ranks against two threads
     python scripts/scaling.py predict scaling.json       # a model; its assumptions are options, and printed with it
 
-Measures renders (the same paths: strong; as many more as there are ranks: weak) and iterations of Gauss-Newton on the
-finest grid. Needs mpi4py and mpiexec, and scene C's file (CLOUDTOMO_DATA). Times are the clock's, on a machine with
-nothing else on it, and CPU seconds of each rank. docs/measurements/scaling.md holds the last tables.
+Measures renders (the same paths: strong; as many more as there are ranks: weak), iterations of Gauss-Newton on the
+finest grid, and how much memory one iteration takes on a large grid. Needs mpi4py and mpiexec, and scene C's file
+(CLOUDTOMO_DATA). Times are the clock's, on a machine with nothing else on it, and CPU seconds of each rank.
+docs/measurements/scaling.md holds the last tables.
 """
 
 from __future__ import annotations
@@ -28,8 +30,12 @@ import numpy as np
 
 RENDER_SAMPLES, IMAGE_SAMPLES, ITERATIONS = 128, 64, int(os.environ.get("SCALING_ITERATIONS", "3"))
 SEED = 2
+KINDS = ("renders", "iterations", "memory")
 # Beside the true cloud voxels that a mask from carving would have, too.
 MARGIN = 2
+# Memory is that of a generated cloud on so many voxels along an axis, seen by nine images of so many pixels along one,
+# with a mask of so many times the cloud's voxels as carving leaves; with few paths, which take no memory to speak of.
+LARGE_GRID, LARGE_IMAGE, CARVED, FEW_SAMPLES = 128, 256, 5.3, 4
 
 
 def timed_methods(ranks: Any) -> dict[str, list[tuple[Any, str]]]:
@@ -152,7 +158,7 @@ def work(kind: str) -> dict[str, Any]:
 
     device = ct.choose_device(communicator=launched_ranks())
     ranks, clock = device.ranks, Clock(device.ranks)
-    found = (renders if kind == "renders" else iterations)(device, clock)
+    found = {"renders": renders, "iterations": iterations, "memory": memory}[kind](device, clock)
     status = Path("/proc/self/status").read_text()
     found["peak"] = int(status.split("VmHWM:")[1].split()[0]) * 1024
     return {"ranks": ranks.size, "rank": ranks.all(found)} if ranks.size > 1 else {"ranks": 1, "rank": [found]}
@@ -210,6 +216,30 @@ def iterations(device: Any, clock: Clock) -> dict[str, Any]:
     }
 
 
+def memory(device: Any, clock: Clock) -> dict[str, Any]:
+    """One iteration with few paths: memory is largest while derivatives get their structure."""
+    from benchmarks.scenes import generated
+    from scipy.ndimage import distance_transform_edt
+
+    import cloudtomo_cl as ct
+
+    case = generated(LARGE_GRID)
+    cloud, centre = case.extinction > 0, case.scene.grid.centre
+    ring = ct.RingOfViews(target=centre, height=5.0, radius=3.5, field_of_view=22.0, pixels=(LARGE_IMAGE, LARGE_IMAGE))
+    operator = ct.RadianceOperator(case.scene, ring.views(), device)
+    measured = ct.Measurements.rendered(operator, operator.render(case.extinction, FEW_SAMPLES, 1))
+    voxels = round(CARVED * np.count_nonzero(cloud))
+    nearest = np.argsort(distance_transform_edt(~cloud), axis=None, kind="stable")[:voxels]
+    mask = np.zeros(cloud.shape, bool)
+    mask.flat[nearest] = True
+    problem = ct.Problem.of(case.scene, measured, mask=mask, device=device, samples=FEW_SAMPLES)
+    solver = ct.GaussNewton(image_samples=0, inner_iterations=1)
+    state = solver.init(problem, np.full(len(problem.voxels), 5.0))
+    state, _ = solver.step(problem, state, seed=SEED, stream=1)
+    entries = state.derivatives.structure.near.count
+    return {"pixels": len(problem.active), "voxels": len(problem.voxels), "entries": entries}
+
+
 def launched(kind: str, ranks: int, mpiexec: list[str]) -> dict[str, Any]:
     """A process with two threads, or two ranks with one each."""
     command = [sys.executable, __file__, "work", kind]
@@ -252,11 +282,15 @@ def efficiency(file: Path) -> None:
             if numbers[1, name] and numbers[2, name]:
                 one, two = (float(np.median(numbers[ranks, name])) for ranks in (1, 2))
                 print(f"{kind}, by {name}: {one:.2f} s, {two:.2f} s: efficiency of two ranks {one / two:.2f}")
-    peaks: dict[int, list[int]] = {1: [], 2: []}
-    for run in found.get("iterations", []):
-        peaks[run["ranks"]] += [rank["peak"] for rank in run["rank"]]
-    if peaks[1] and peaks[2]:
-        print(f"memory at its largest: {min(peaks[1]) / 1e6:.0f} MB, a rank of two {min(peaks[2]) / 1e6:.0f} MB")
+    for kind in ("iterations", "memory"):
+        peaks: dict[int, list[int]] = {1: [], 2: []}
+        for run in found.get(kind, []):
+            peaks[run["ranks"]].append(max(rank["peak"] for rank in run["rank"]))
+        if peaks[1] and peaks[2]:
+            one, two = (min(peaks[ranks]) / 1e6 for ranks in (1, 2))
+            print(
+                f"{kind}, memory at its largest: {one:.0f} MB, the larger rank of two {two:.0f}, {two / one:.2f} of it"
+            )
 
 
 @dataclass(frozen=True)
@@ -381,10 +415,10 @@ def main() -> None:
     one = commands.add_parser("measure", help="one process and two ranks, in turn")
     one.add_argument("file", type=Path)
     one.add_argument("--repeats", type=int, default=3)
-    one.add_argument("--kinds", nargs="+", choices=("renders", "iterations"), default=["renders", "iterations"])
+    one.add_argument("--kinds", nargs="+", choices=KINDS, default=["renders", "iterations"])
     one.add_argument("--mpiexec", nargs="+", default=["mpiexec"], help="and its options")
     commands.add_parser("efficiency", help="what was measured").add_argument("file", type=Path)
-    commands.add_parser("work", help="what ranks do").add_argument("kind", choices=("renders", "iterations"))
+    commands.add_parser("work", help="what ranks do").add_argument("kind", choices=KINDS)
     model = commands.add_parser("predict", help="by a model")
     model.add_argument("file", type=Path)
     for name, value in asdict(Assumptions()).items():
