@@ -30,7 +30,6 @@ import numpy as np
 
 RENDER_SAMPLES, IMAGE_SAMPLES, ITERATIONS = 128, 64, int(os.environ.get("SCALING_ITERATIONS", "3"))
 SEED = 2
-KINDS = ("renders", "iterations", "memory")
 # Beside the true cloud voxels that a mask from carving would have, too.
 MARGIN = 2
 # Memory is that of a generated cloud on so many voxels along an axis, seen by nine images of so many pixels along one,
@@ -157,16 +156,17 @@ def work(kind: str) -> dict[str, Any]:
     from cloudtomo_cl.parallel.launched import launched_ranks
 
     device = ct.choose_device(communicator=launched_ranks())
-    ranks, clock = device.ranks, Clock(device.ranks)
-    found = {"renders": renders, "iterations": iterations, "memory": memory}[kind](device, clock)
+    ranks = device.ranks
+    found = MEASURED[kind](device)
     status = Path("/proc/self/status").read_text()
     found["peak"] = int(status.split("VmHWM:")[1].split()[0]) * 1024
     return {"ranks": ranks.size, "rank": ranks.all(found)} if ranks.size > 1 else {"ranks": 1, "rank": [found]}
 
 
-def renders(device: Any, clock: Clock) -> dict[str, Any]:
+def renders(device: Any) -> dict[str, Any]:
     import cloudtomo_cl as ct
 
+    clock = Clock(device.ranks)
     given, views, extinction = scene()
     operator = ct.RadianceOperator(given, views, device)
     operator.render(extinction, 8)
@@ -179,12 +179,13 @@ def renders(device: Any, clock: Clock) -> dict[str, Any]:
     return found
 
 
-def iterations(device: Any, clock: Clock) -> dict[str, Any]:
+def iterations(device: Any) -> dict[str, Any]:
     from scipy.ndimage import binary_dilation
 
     import cloudtomo_cl as ct
     from cloudtomo_cl.transport.directions import BINS
 
+    clock = Clock(device.ranks)
     given, views, extinction = scene()
     operator = ct.RadianceOperator(given, views, device)
     measured = ct.Measurements.rendered(operator, operator.render(extinction, IMAGE_SAMPLES, 1))
@@ -216,7 +217,7 @@ def iterations(device: Any, clock: Clock) -> dict[str, Any]:
     }
 
 
-def memory(device: Any, clock: Clock) -> dict[str, Any]:
+def memory(device: Any) -> dict[str, Any]:
     """One iteration with few paths: memory is largest while derivatives get their structure."""
     from benchmarks.scenes import generated
     from scipy.ndimage import distance_transform_edt
@@ -238,6 +239,9 @@ def memory(device: Any, clock: Clock) -> dict[str, Any]:
     state, _ = solver.step(problem, state, seed=SEED, stream=1)
     entries = state.derivatives.structure.near.count
     return {"pixels": len(problem.active), "voxels": len(problem.voxels), "entries": entries}
+
+
+MEASURED = {"renders": renders, "iterations": iterations, "memory": memory}
 
 
 def launched(kind: str, ranks: int, mpiexec: list[str]) -> dict[str, Any]:
@@ -415,10 +419,10 @@ def main() -> None:
     one = commands.add_parser("measure", help="one process and two ranks, in turn")
     one.add_argument("file", type=Path)
     one.add_argument("--repeats", type=int, default=3)
-    one.add_argument("--kinds", nargs="+", choices=KINDS, default=["renders", "iterations"])
+    one.add_argument("--kinds", nargs="+", choices=[*MEASURED], default=["renders", "iterations"])
     one.add_argument("--mpiexec", nargs="+", default=["mpiexec"], help="and its options")
     commands.add_parser("efficiency", help="what was measured").add_argument("file", type=Path)
-    commands.add_parser("work", help="what ranks do").add_argument("kind", choices=KINDS)
+    commands.add_parser("work", help="what ranks do").add_argument("kind", choices=[*MEASURED])
     model = commands.add_parser("predict", help="by a model")
     model.add_argument("file", type=Path)
     for name, value in asdict(Assumptions()).items():
