@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import operator
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from numbers import Real
 from typing import Any, get_args
@@ -48,7 +49,20 @@ def a(*classes: Any, hint: str = "") -> Kind:
 def many(*classes: Any) -> Kind:
     """A tuple or list of objects of some classes, or another sequence of them."""
     one = a(*classes)
-    return Kind(f"a tuple or list, each entry {one.words}", lambda value: _is_sequence_of(one, value))
+    return Kind(f"a tuple or list, each entry {one.words}", lambda value: is_sequence_of(one, value))
+
+
+def several(count: int, one: Kind) -> Kind:
+    """A tuple or list of so many of a kind, or another sequence of them."""
+    return Kind(
+        f"a tuple or list of {count}, each {one.words}",
+        lambda value: is_sequence_of(one, value) and len(value) == count,
+    )
+
+
+def place(count: int) -> Kind:
+    """The number of one of so many, which from the end are -1, -2 ..., as everywhere in Python."""
+    return Kind(f"0 to {count - 1}", lambda value: WHOLE.fits(value) and -count <= value < count)
 
 
 def able(words: str, *methods: str) -> Kind:
@@ -68,12 +82,39 @@ CALLABLE = Kind("a function", callable)
 def _is_number(value: Any) -> bool:
     """Also one of xarray or NumPy that has no dimension."""
     if isinstance(value, Real):
-        return not isinstance(value, bool)
+        return not isinstance(value, bool) and not _is_too_large(value)
     return getattr(value, "shape", None) == () and getattr(getattr(value, "dtype", None), "kind", "") in tuple("iuf")
 
 
+def _is_too_large(value: Any) -> bool:
+    try:
+        float(value)
+    except OverflowError:
+        return True
+    return False
+
+
+def _is_whole(value: Any) -> bool:
+    try:
+        operator.index(value)
+    except TypeError:
+        return False
+    return not isinstance(value, bool)
+
+
 NUMBER = Kind("a number", _is_number)
-NUMBERS = Kind("a tuple or list of numbers", lambda value: _is_sequence_of(NUMBER, value))
+NUMBERS = Kind("a tuple or list of numbers", lambda value: is_sequence_of(NUMBER, value))
+
+
+def _is_truth(value: Any) -> bool:
+    if getattr(getattr(value, "dtype", None), "kind", "") == "b":
+        return getattr(value, "shape", None) == ()
+    return isinstance(value, bool) or (_is_whole(value) and value in (0, 1))
+
+
+TRUTH = Kind("True or False", _is_truth)
+WHOLE = Kind("a whole number", _is_whole)
+MAPPING = Kind("a dict, or another mapping", lambda value: isinstance(value, Mapping))
 PATH = Kind("the name of a file, a str or a Path", lambda value: isinstance(value, (str, os.PathLike)))
 
 
@@ -94,8 +135,10 @@ def require_kinds(function: str, **arguments: tuple[Any, Kind]) -> None:
             raise InvalidArgumentError(f"{function}: {name} is {_shown(value)}: it must be {kind.words}")
 
 
-def _is_sequence_of(one: Kind, value: Any) -> bool:
-    if isinstance(value, (str, bytes, dict)) or not (hasattr(value, "__len__") and hasattr(value, "__getitem__")):
+def is_sequence_of(one: Kind, value: Any) -> bool:
+    if isinstance(value, (str, bytes, dict)) or getattr(value, "shape", None) == ():
+        return False
+    if not (hasattr(value, "__len__") and hasattr(value, "__getitem__")):
         return False
     return all(map(one.fits, value))
 
@@ -118,6 +161,8 @@ def _shown(value: Any) -> str:
         return "None"
     if isinstance(value, type):
         return f"the class {value.__name__}, not an object of it"
+    if isinstance(value, int) and _is_too_large(value):
+        return "a whole number beyond 1e308"
     if isinstance(value, (str, bytes, int, float)):
         text = repr(value)
         text = text if len(text) <= _SHOWN else f"{text[: _SHOWN - 3]}..."

@@ -77,6 +77,7 @@ def _left_by_limits() -> Iterator[int]:
 
 def size_text(number: float) -> str:
     """Bytes as a person says them."""
+    number = min(number, 1e300)  # integers may be beyond floats
     for unit in ("bytes", "kB", "MB", "GB", "TB"):
         if number < 1000 or unit == "TB":
             return f"{number:.0f} {unit}" if unit == "bytes" else f"{number:.3g} {unit}"

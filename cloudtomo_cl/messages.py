@@ -120,7 +120,7 @@ def _message(entry: Any, key: str, schema: dict[str, Any]) -> str:
         return f"must be a list of tables: write [[{key}]]"
     if kind in ("dataclass_type", "model_type", "model_attributes_type", "dict_type"):
         return f"must be a table, is {_shown(value)}"
-    if kind == "too_short" and not value:
+    if kind == "too_short" and not entry["ctx"]["actual_length"]:
         return "needs at least one entry"
     message = entry["msg"].replace("Input should be", "must be")
     for words, plainer in (("a valid array", "a list"), ("a valid integer", "an integer"), ("a valid", "a")):

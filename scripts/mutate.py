@@ -64,6 +64,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "*/scene/scene.py": (UNIT + "scene", UNIT + "config", KERNELS + "walk", KERNELS + "exact", KERNELS + "flux"),
     "*/scene/sensors.py": (UNIT + "projection", UNIT + "sensors", UNIT + "formations", UNIT + "config",
                            KERNELS + "camera", UNIT + "carve"),
+    "*/scene/box.py": (UNIT + "carve", UNIT + "sensors", UNIT + "volume"),
     "*/scene/visibility.py": (UNIT + "carve", UNIT + "measurements", UNIT + "projection"),
     "*/scene/water.py": (UNIT + "droplets", UNIT + "mie"),
     "*/transport/adaptive.py": (KERNELS + "adaptive",),

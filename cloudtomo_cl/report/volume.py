@@ -12,10 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cloudtomo_cl.arguments import a, able, many, require_kinds
+from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.report.directions import angles, round_length, towards_sensor
+from cloudtomo_cl.scene.arrays import real_numbers
+from cloudtomo_cl.scene.box import clip_to_box
 from cloudtomo_cl.scene.grid import Grid, resample
 from cloudtomo_cl.scene.scene import Sun, direction
-from cloudtomo_cl.scene.sensors import View, clip_to_box
+from cloudtomo_cl.scene.sensors import View
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -122,6 +125,10 @@ def plot_volume(
     ----------
     sun : that lights the cloud; by default it is lit from above, and no sun is drawn
     views : whose directions are drawn, all at one distance
+
+    Raises
+    ------
+    DataError : an extinction of another shape; an argument is of another kind (InvalidArgumentError)
     """
     require_kinds(
         "plot_volume",
@@ -130,7 +137,11 @@ def plot_volume(
         sun=(sun, a(Sun).or_none()),
         views=(views, many(View)),
     )
-    volumes = {"recovered": recovered} if truth is None else {"true": truth, "recovered": recovered}
+    given = {"recovered": recovered} if truth is None else {"true": truth, "recovered": recovered}
+    volumes = {name: real_numbers(volume, name) for name, volume in given.items()}
+    for name, volume in volumes.items():
+        if volume.shape != grid.shape:
+            raise DataError(f"plot_volume: the {name} extinction has shape {volume.shape}, the grid {grid.shape}")
     half = float(np.linalg.norm(grid.extent)) / 2
     for panel, (name, volume) in zip(np.ravel(figure.subplots(1, len(volumes))), volumes.items()):
         panel.set_title(name)

@@ -12,8 +12,15 @@ from cloudtomo_cl.errors import InvalidArgumentError
 _ORDERS = (("x", "y", "z"), ("row", "column"), ("view", "row", "column"))
 
 
-def unmasked(values: Any) -> np.ndarray:
-    """An array with NaN for masked values, and the dimensions of an xarray.DataArray in this package's order."""
+def unmasked(values: Any, name: str = "the array") -> np.ndarray:
+    """An array with NaN for masked values, and the dimensions of an xarray.DataArray in this package's order.
+
+    name : what errors call the array
+
+    Raises
+    ------
+    InvalidArgumentError : its rows are not of one length
+    """
     dims = getattr(values, "dims", None)
     if isinstance(dims, tuple):
         order = next((order for order in _ORDERS if sorted(order) == sorted(map(str, dims))), dims)
@@ -22,19 +29,35 @@ def unmasked(values: Any) -> np.ndarray:
         if values.dtype.kind not in "f":
             values = values.astype(np.float64)
         return np.ma.filled(values, np.nan)
-    return np.asarray(values)
+    try:
+        return np.asarray(values)
+    except (TypeError, ValueError) as error:
+        raise InvalidArgumentError(f"{name} makes no array ({error}): give all rows as many numbers") from None
+
+
+def real_numbers(values: Any, name: str) -> np.ndarray:
+    """As `unmasked`, in its own precision; in double precision, if it has none.
+
+    Raises
+    ------
+    InvalidArgumentError : they are text, complex or no numbers, or beyond double precision
+    """
+    array = unmasked(values, name)
+    if array.dtype.kind in "biuf":
+        return array
+    kind = f"of type {type(values).__name__}"
+    if array.dtype.kind == "c":
+        raise InvalidArgumentError(f"{name} is complex: it must be real numbers")
+    try:
+        if array.dtype.kind == "O":
+            return array.astype(np.float64)
+    except (TypeError, ValueError):
+        pass
+    except OverflowError:
+        raise InvalidArgumentError(f"{name} is {kind} and holds a number beyond 1e308: it must be less") from None
+    raise InvalidArgumentError(f"{name} is {kind} and holds no numbers: it must be an array of them")
 
 
 def as_numbers(values: Any, name: str) -> np.ndarray:
-    """As `unmasked`, in double precision. InvalidArgumentError if they are no numbers.
-
-    name : what errors call the array
-    """
-    array = unmasked(values)
-    try:
-        return array.astype(np.float64, copy=False)
-    except (TypeError, ValueError):
-        kind = type(values).__name__
-        raise InvalidArgumentError(
-            f"{name} is of type {kind} and holds no numbers: it must be an array of them"
-        ) from None
+    """As `real_numbers`, in double precision."""
+    return real_numbers(values, name).astype(np.float64, copy=False)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cloudtomo_cl.arguments import a, require_kinds
+from cloudtomo_cl.arguments import NUMBER, NUMBERS, a, require_kinds
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.scene.arrays import as_numbers
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
@@ -34,6 +34,11 @@ class DropletTable:
     wavelength_nm : wavelength in air, nm
     effective_variance : effective variance of the size distribution, without unit
     refractive_index_real, refractive_index_imag : refractive index of water; a positive imaginary part absorbs
+
+    Raises
+    ------
+    DataError : as many extinction_efficiency as effective radii are needed; a field is of another kind
+        (InvalidArgumentError)
     """
 
     phase_function: TabulatedPhaseFunction
@@ -44,6 +49,13 @@ class DropletTable:
     refractive_index_imag: float
 
     def __post_init__(self) -> None:
+        names = ("wavelength_nm", "effective_variance", "refractive_index_real", "refractive_index_imag")
+        require_kinds(
+            "DropletTable",
+            phase_function=(self.phase_function, a(TabulatedPhaseFunction)),
+            extinction_efficiency=(self.extinction_efficiency, NUMBERS),
+            **{name: (getattr(self, name), NUMBER) for name in names},
+        )
         if len(self.extinction_efficiency) != len(self.phase_function.effective_radius):
             raise DataError(
                 f"extinction_efficiency has {len(self.extinction_efficiency)} entries: it must have "

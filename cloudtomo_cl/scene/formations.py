@@ -11,6 +11,9 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.arguments import NUMBER, require_kinds, several
+from cloudtomo_cl.errors import InvalidSettingError
+from cloudtomo_cl.memory import require
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.scene.grid import Coordinate, Length, Triple
 from cloudtomo_cl.scene.scene import Angle
@@ -21,6 +24,8 @@ AlongTrackAngles = Annotated[tuple[AlongTrackAngle, ...], Field(min_length=1, ma
 
 # Far more than any campaign flies; every camera is an object with its own image.
 _MOST_CAMERAS = 10_000
+# Arrays of an all-sky camera that live at the same time, for each pixel of the square around its circle.
+_BYTES_PER_RAY = 160
 # View angles at the ground, degrees from nadir, of MISR's nine cameras Df to Da.
 # Source: Diner et al. 1998, IEEE Trans. Geosci. Remote Sens. 36, 1072-1087.
 MISR_ANGLES = (70.5, 60.0, 45.6, 26.1, 0.0, -26.1, -45.6, -60.0, -70.5)
@@ -191,12 +196,23 @@ def fisheye_rays(position: Triple, pixels: int, field_of_view: float = 180.0) ->
 
     Raises
     ------
-    ValueError : pixels is not positive, field_of_view is not above 0 and at most 180
+    InvalidSettingError : pixels is not positive or not whole, field_of_view is not above 0 and at most 180, position is
+        below the ground
+    InvalidArgumentError : an argument is of another kind
     """
-    if pixels < 1:
-        raise ValueError(f"pixels is {pixels}: it must be at least 1")
+    require_kinds(
+        "fisheye_rays",
+        position=(position, several(3, NUMBER)),
+        pixels=(pixels, NUMBER),
+        field_of_view=(field_of_view, NUMBER),
+    )
+    if pixels < 1 or pixels % 1:
+        raise InvalidSettingError(f"pixels is {pixels}: it must be a whole number of at least 1")
     if not 0 < field_of_view <= 180:
-        raise ValueError(f"field_of_view is {field_of_view}: it must be above 0 and at most 180 degrees")
+        raise InvalidSettingError(f"field_of_view is {field_of_view}: it must be above 0 and at most 180 degrees")
+    require(
+        _BYTES_PER_RAY * float(pixels) * float(pixels), f"an all-sky camera of {pixels:g} pixels across", "use fewer"
+    )
     places = (2 * np.arange(pixels) + 1) / pixels - 1
     east, north = np.meshgrid(-places, -places)
     distance = np.hypot(east, north)

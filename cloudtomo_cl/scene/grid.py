@@ -9,6 +9,8 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.arguments import WHOLE, place, require_kinds, several
+from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.messages import answering
 
 Count = Annotated[int, Field(ge=1)]
@@ -63,11 +65,20 @@ class Grid:
         return mean_chord(self.spacing)
 
     def centres(self, axis: int) -> np.ndarray:
-        """Coordinates of the voxels' centres along an axis (0, 1, 2), km."""
+        """Coordinates of the voxels' centres along an axis (0, 1, 2), km. InvalidArgumentError for another axis."""
+        require_kinds("Grid.centres", axis=(axis, place(3)))
         return self.origin[axis] + (np.arange(self.shape[axis]) + 0.5) * self.spacing[axis]
 
     def with_shape(self, shape: Sequence[int]) -> Grid:
-        """A grid of the same domain with other numbers of voxels."""
+        """A grid of the same domain with other numbers of voxels.
+
+        Raises
+        ------
+        DataError : shape is no three whole numbers (InvalidArgumentError), or one of them below 1
+        """
+        require_kinds("Grid.with_shape", shape=(shape, several(3, WHOLE)))
+        if min(shape) < 1:
+            raise DataError(f"Grid.with_shape: shape is {tuple(shape)}: there must be at least 1 voxel along each axis")
         nx, ny, nz = shape
         width, depth, height = self.extent
         return Grid(shape=(nx, ny, nz), spacing=(width / nx, depth / ny, height / nz), origin=self.origin)

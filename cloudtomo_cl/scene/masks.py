@@ -20,9 +20,10 @@ def checked_mask(mask: Any, grid: Grid) -> np.ndarray:
 
     Raises
     ------
-    DataError : the mask has another shape or other values, is missing in a voxel, or has no voxel
+    DataError : the mask has another shape or other values, is missing in a voxel, or has no voxel; it makes no array
+        (InvalidArgumentError)
     """
-    mask = unmasked(mask)
+    mask = unmasked(mask, "mask")
     if mask.shape != grid.shape:
         raise DataError(f"mask has shape {mask.shape}, the grid {grid.shape}")
     if mask.dtype.kind != "b":

@@ -8,14 +8,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from cloudtomo_cl.arguments import NUMBER, NUMBERS, Kind, a, able, many, require_kinds
+from cloudtomo_cl.arguments import NUMBER, NUMBERS, WHOLE, Kind, a, able, many, require_kinds, several
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.renamed import renamed_attributes
 from cloudtomo_cl.scene.arrays import unmasked
 from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.grid import Grid, resample
 from cloudtomo_cl.scene.pixel_errors import pooled_standard_errors
-from cloudtomo_cl.scene.pointing import motion_errors, moved
+from cloudtomo_cl.scene.pointing import checked_motions, motion_errors, moved
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.sensors import RayView, View
 
@@ -98,7 +98,7 @@ class Measurements:
         for name in ("images", "standard_errors"):
             require_kinds("Measurements", **{name: (getattr(self, name), _ONE_FOR_EACH)})
             object.__setattr__(self, name, tuple(_radiances(array, name) for array in getattr(self, name)))
-        if not self.views:
+        if not len(self.views):
             raise DataError("measurements: there is no view: at least one image is needed")
         for name, arrays in (("images", self.images), ("standard_errors", self.standard_errors)):
             if len(arrays) != len(self.views):
@@ -185,7 +185,14 @@ class Measurements:
         return np.array(errors)
 
     def moved(self, motions: np.ndarray | None, grid: Grid) -> Measurements:
-        """The same images, of views after small motions (`scene.pointing`), shape (views, 3); None: no motion."""
+        """The same images, of views after small motions (`scene.pointing`), shape (views, 3); None: no motion.
+
+        Raises
+        ------
+        DataError : motions of another shape, or no numbers (InvalidArgumentError); a moved view that is none
+        """
+        require_kinds("Measurements.moved", grid=(grid, a(Grid)))
+        motions = None if motions is None else checked_motions(motions, len(self.views))
         if motions is None or not np.any(motions):
             return self
         return replace(self, views=tuple(moved(view, motion, grid) for view, motion in zip(self.views, motions)))
@@ -197,8 +204,11 @@ class Measurements:
 
         Raises
         ------
-        DataError : other pixels for a view that is a list of rays
+        DataError : other pixels for a view that is a list of rays; pixels are no pairs of whole numbers, one for each
+            view (InvalidArgumentError)
         """
+        pairs = several(len(self.views), several(2, WHOLE))
+        require_kinds("Measurements.resampled", pixels=(pixels, pairs))
         views: list[View] = []
         images, errors = [], []
         for view, image, error, (width, height) in zip(self.views, self.images, self.standard_errors, pixels):
@@ -222,7 +232,14 @@ class Measurements:
         """The images with `share` of their width and height, but at least 8 pixels or all there are.
 
         Views that are lists of rays keep theirs.
+
+        Raises
+        ------
+        DataError : share is not above 0 and at most 1, or no number (InvalidArgumentError)
         """
+        require_kinds("Measurements.at_share", share=(share, NUMBER))
+        if not 0 < share <= 1:
+            raise DataError(f"share is {share}: it must be above 0 and at most 1")
         if share == 1:
             return self
         return self.resampled(
@@ -252,7 +269,7 @@ def _radiances(array: Any, name: str) -> np.ndarray:
     ------
     DataError : it holds no real numbers
     """
-    array = unmasked(array)
+    array = unmasked(array, f"measurements: {name}")
     if array.dtype.kind not in "biuf":
         raise DataError(f"measurements: {name} are of type {array.dtype}: they must be real numbers")
     return array if array.dtype.kind == "f" and array.itemsize >= 4 else array.astype(np.float64)

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.arguments import a, require_kinds
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.scene.measurements import Measurements
@@ -72,6 +73,7 @@ class Noise:
         DataError : no pixel shows any light, and no full_radiance is given; an image is saturated as a whole; seed or
             stream is no whole number of 32 bits
         """
+        require_kinds("Noise.added_to", measurements=(measurements, a(Measurements)))
         seed, stream = checked_seed(seed), checked_seed(stream, "stream")
         full = self.full_radiance
         if full is None:

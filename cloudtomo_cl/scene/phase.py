@@ -12,9 +12,10 @@ import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.arguments import place, require_kinds
 from cloudtomo_cl.errors import InvalidSettingError
 from cloudtomo_cl.messages import answering
-from cloudtomo_cl.scene.arrays import unmasked
+from cloudtomo_cl.scene.arrays import as_numbers
 
 # Largest error of a table's integral: rounded values and coarse angles pass, another
 # normalisation does not.
@@ -45,7 +46,7 @@ _Fraction = Annotated[float, Field(ge=0, le=1)]
 
 def _henyey_greenstein(cosine: np.ndarray | float, g: float) -> np.ndarray:
     """Henyey and Greenstein 1941, Eq. 2, as a density over the sphere, sr^-1."""
-    return (1 - g**2) / (4 * np.pi * (1 + g**2 - 2 * g * np.asarray(cosine, dtype=np.float64)) ** 1.5)
+    return (1 - g**2) / (4 * np.pi * (1 + g**2 - 2 * g * as_numbers(cosine, "cosine")) ** 1.5)
 
 
 @answering
@@ -172,8 +173,8 @@ class TabulatedPhaseFunction:
         ------
         InvalidSettingError : a row whose integral is zero or not finite, and as the class does
         """
-        angle = np.asarray(unmasked(angle), dtype=np.float64)
-        values = np.atleast_2d(np.asarray(unmasked(values), dtype=np.float64))
+        angle = as_numbers(angle, "angle")
+        values = np.atleast_2d(as_numbers(values, "values"))
         if angle.ndim == 1 and values.shape[1:] == angle.shape and len(angle) >= 2:
             integral = sphere_integral(angle, values)
             if not (np.isfinite(integral) & (integral > 0)).all():
@@ -197,10 +198,16 @@ class TabulatedPhaseFunction:
         return 2 * np.pi * ((mean * middle + fall * step / 12) * step).sum(axis=1)
 
     def density(self, cosine: np.ndarray | float, row: int | None = None) -> np.ndarray:
-        """The phase function of a row (default: the middle one), sr^-1, shape of `cosine`."""
+        """The phase function of a row (default: the middle one), sr^-1, shape of `cosine`.
+
+        Raises
+        ------
+        InvalidArgumentError : cosine holds no numbers, or row is none of the table's
+        """
+        require_kinds("TabulatedPhaseFunction.density", row=(row, place(len(self.values)).or_none()))
         row = len(self.values) // 2 if row is None else row
         nodes = np.cos(np.radians(self.angle))
-        return np.interp(np.asarray(cosine, dtype=np.float64), nodes[::-1], np.array(self.values[row])[::-1])
+        return np.interp(as_numbers(cosine, "cosine"), nodes[::-1], np.array(self.values[row])[::-1])
 
 
 def _check_increasing(name: str, values: np.ndarray) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.scene.arrays import unmasked
 from cloudtomo_cl.scene.sensors import RayView, View
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def checked_pixels(views: Sequence[View], pixels: Any) -> np.ndarray:
     ------
     DataError : the list has another shape, is empty or not of integers, or names a view or pixel that does not exist
     """
-    given = np.asarray(pixels)
+    given = unmasked(pixels, "pixels")
     if given.size == 0:
         raise DataError("the list of pixels is empty: give at least one (view, row * width + column)")
     if given.ndim != 2 or given.shape[1] != 2:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.scene.arrays import as_numbers
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, RayView, View, image_axes, line_of_sight
 
@@ -43,6 +45,14 @@ def motion_errors(view: View, grid: Grid, pointing_error: float, position_error:
     away = float(np.linalg.norm(_place(view) - grid.centre))
     turn = float(np.hypot(angle, position_error / away))
     return np.array([turn, turn, angle])
+
+
+def checked_motions(motions: Any, views: int) -> np.ndarray:
+    """Motions of so many views, shape (views, 3). DataError if they are of another shape, not finite or no numbers."""
+    motions = as_numbers(motions, "motions")
+    if motions.shape != (views, 3) or not np.isfinite(motions).all():
+        raise DataError(f"motions have shape {motions.shape}: they must be ({views}, 3), and finite")
+    return motions
 
 
 def moved(view: View, motion: np.ndarray, grid: Grid) -> View:

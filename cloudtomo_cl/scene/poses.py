@@ -6,7 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cloudtomo_cl.arguments import WHOLE, require_kinds, several
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.memory import require, shape_text, voxels_of
+from cloudtomo_cl.scene.arrays import as_numbers
 from cloudtomo_cl.scene.sensors import PerspectiveView, Pixels, RayView
 
 # Allowed rounding error of a rotation, for matrices in single precision.
@@ -14,6 +17,8 @@ _ROUNDING = 1e-5
 # Distance, in pixels, up to which a principal point counts as the image's centre.
 _CENTRED = 1e-6
 _MOST_COEFFICIENTS = 5
+# Of an image, and of arrays that live at the same time while rays are made.
+_BYTES_PER_PIXEL, _BYTES_PER_RAY = 8, 160
 # Largest number of fixed-point iterations that undo a distortion, and the residual, in pixels, at which they end.
 _ITERATIONS, _UNDONE = 100, 1e-8
 
@@ -45,17 +50,21 @@ def camera_from_pose(
 
     Raises
     ------
-    DataError : arrays of other shapes, no rotation, no focal length, a distortion that cannot be undone in a pixel
+    DataError : arrays of other shapes, no rotation, no focal length, a distortion that cannot be undone in a pixel; an
+        argument is of another kind (InvalidArgumentError)
     InvalidSettingError : a camera below the ground, or too far away
 
     Source: Brown 1971, "Close-range camera calibration"; OpenCV's documentation, "Camera Calibration and 3D
     Reconstruction".
     """
+    require_kinds("camera_from_pose", pixels=(pixels, several(2, WHOLE)))
+    _require_memory(_BYTES_PER_PIXEL, pixels)
     r, t, k = _checked(rotation, translation, matrix)
     coefficients = np.zeros(_MOST_COEFFICIENTS)
-    if len(distortion) > _MOST_COEFFICIENTS or not np.isfinite(distortion).all():
-        raise DataError(f"distortion is {list(distortion)}: it must have at most 5 numbers, k1, k2, p1, p2, k3")
-    coefficients[: len(distortion)] = distortion
+    lens = as_numbers(distortion, "distortion")
+    if lens.ndim != 1 or len(lens) > _MOST_COEFFICIENTS or not np.isfinite(lens).all():
+        raise DataError(f"distortion is {lens.tolist()}: it must have at most 5 numbers, k1, k2, p1, p2, k3")
+    coefficients[: len(lens)] = lens
     position, (width, height) = -r.T @ t, pixels
     middle = np.array([width - 1, height - 1]) / 2
     if not coefficients.any() and k[0, 1] == 0 and np.abs(k[:2, 2] - middle).max() < _CENTRED:
@@ -69,15 +78,22 @@ def camera_from_pose(
             pixels=pixels,
             aspect=float(aspect),
         )
+    _require_memory(_BYTES_PER_RAY, pixels)
     columns, rows = np.meshgrid(np.arange(width), np.arange(height))
     plane = _undistorted(columns.ravel(), rows.ravel(), k, coefficients)
     directions = np.column_stack([*plane, np.ones(width * height)]) @ r
     return RayView(np.broadcast_to(position, directions.shape), directions, pixels)
 
 
+def _require_memory(bytes_per_pixel: int, pixels: Pixels) -> None:
+    """DataError if there is not memory enough for a camera's image, or its rays."""
+    require(bytes_per_pixel * voxels_of(pixels), f"a camera of {shape_text(pixels)} pixels", "use fewer")
+
+
 def _checked(rotation: np.ndarray, translation: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, ...]:
     """The arrays in double precision; raises DataError if they are no pose or no camera matrix."""
-    r, t, k = (np.asarray(array, np.float64) for array in (rotation, translation, matrix))
+    given = {"rotation": rotation, "translation": translation, "matrix": matrix}
+    r, t, k = (as_numbers(array, name) for name, array in given.items())
     for name, array, shape in (("rotation", r, (3, 3)), ("translation", t.ravel(), (3,)), ("matrix", k, (3, 3))):
         if array.shape != shape or not np.isfinite(array).all():
             raise DataError(f"{name} has shape {array.shape}: it must have {shape}, and finite numbers")

@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.arguments import a, require_kinds
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.scene.grid import Grid, resample
 from cloudtomo_cl.scene.phase import HenyeyGreenstein, PhaseFunction
@@ -132,6 +133,7 @@ class Air:
 
         A profile is averaged onto the grid's layers so that its optical depth is kept.
         """
+        require_kinds("Air", grid=(grid, a(Grid)))
         grid_levels = grid.origin[2] + grid.spacing[2] * np.arange(grid.shape[2] + 1)
         if not self.is_outside:
             values = np.atleast_1d(np.asarray(self.extinction, dtype=float))

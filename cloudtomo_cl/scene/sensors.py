@@ -9,7 +9,6 @@ kernels know of a sensor.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Annotated, Any, Literal
 
@@ -17,8 +16,11 @@ import numpy as np
 from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, WithJsonSchema, model_validator
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.arguments import NUMBER, a, require_kinds
+from cloudtomo_cl.errors import DataError, InvalidArgumentError
 from cloudtomo_cl.messages import answering
-from cloudtomo_cl.scene.arrays import unmasked
+from cloudtomo_cl.scene.arrays import as_numbers
+from cloudtomo_cl.scene.box import clip_to_box
 from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.grid import Count, Grid, Length, Triple
 from cloudtomo_cl.scene.scene import Angle, Scene, direction
@@ -113,7 +115,14 @@ class AffineView(ABC):
         u, v : image coordinates, outside of [0, 1] beside the frame; shape (...)
         depth : distance along the line of sight, km; where it is not positive the point lies behind
             the sensor, and u, v have no meaning
+
+        Raises
+        ------
+        DataError : points of another shape; grid or points are of another kind (InvalidArgumentError)
         """
+        points = as_numbers(points, "points")
+        if points.shape[-1:] != (3,):
+            raise DataError(f"points have shape {points.shape}: it must be (..., 3), x, y, z in km")
         origin, direction = self.rays(grid)
         # Where the origin moves with u, point = origin + u change + depth direction; where the
         # direction does, its change comes times u and depth. The same with v.
@@ -244,6 +253,7 @@ class OrthographicView(AffineView):
 
     def rays(self, grid: Grid, top: float | None = None) -> tuple[np.ndarray, np.ndarray]:
         """See AffineView."""
+        require_kinds("rays", grid=(grid, a(Grid)), top=(top, NUMBER.or_none()))
         sight, (right, up) = self.sight(), self._axes()
         height = self.width * self._aspect
         top = grid.origin[2] + grid.extent[2] if top is None else top
@@ -352,10 +362,12 @@ class RadiometerView(AffineView):
     @classmethod
     def of_columns(cls, grid: Grid, zenith: float, azimuth: float = 0.0) -> RadiometerView:
         """The view with a pixel for each column of a grid."""
+        require_kinds("RadiometerView.of_columns", grid=(grid, a(Grid)))
         return cls(zenith=zenith, azimuth=azimuth, pixels=grid.shape[:2])
 
     def rays(self, grid: Grid, top: float | None = None) -> tuple[np.ndarray, np.ndarray]:
         """See AffineView."""
+        require_kinds("rays", grid=(grid, a(Grid)), top=(top, NUMBER.or_none()))
         (east, north, up), sight = grid.extent, -direction(self.zenith, self.azimuth)
         corner = np.add(grid.origin, (0.0, north, up if sight[2] < 0 else 0.0))
         origin = np.array([corner, (east, 0.0, 0.0), (0.0, -north, 0.0)])
@@ -365,8 +377,8 @@ class RadiometerView(AffineView):
 def _rows_of_three(values: Any) -> np.ndarray:
     """A copy that cannot be written to, so that a view stays what it was."""
     try:
-        array = np.array(unmasked(values), dtype=np.float64)
-    except (TypeError, ValueError):
+        array = np.array(as_numbers(values, "it"))
+    except InvalidArgumentError:
         raise ValueError("must be an array of numbers of shape (rays, 3)") from None
     if array.ndim != 2 or array.shape[1] != 3 or not len(array):
         raise ValueError(f"has shape {array.shape}: it must have (rays, 3), with at least one ray")
@@ -451,6 +463,7 @@ class RayView:
         of the grid), or at the ground, if it passes the domain on its way down. In a periodic
         domain it starts within the domain.
         """
+        require_kinds("RayView.starts", scene=(scene, a(Scene)))
         lower, upper = np.array(scene.grid.origin), np.add(scene.grid.origin, scene.grid.extent)
         extent, periodic = scene.grid.extent, scene.boundary.horizontal == "periodic"
         air_outside = scene.air is not None and scene.air.is_outside
@@ -465,31 +478,6 @@ class RayView:
         if periodic:
             starts[:, :2] -= extent[:2] * np.floor((starts[:, :2] - lower[:2]) / extent[:2])
         return starts
-
-
-def clip_to_box(
-    start: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray, axes: Sequence[int] = (0, 1, 2)
-) -> tuple[np.ndarray, np.ndarray]:
-    """Where rays `start + t step`, t >= 0, lie in a box: they do for near <= t <= far (the slab test).
-
-    Parameters
-    ----------
-    start, step : starting points and directions, shape (..., 3)
-    lower, upper : corners of the box, shape (3,)
-    axes : axes along which the box is bounded
-
-    Returns
-    -------
-    near, far : values of t, shape (...); a ray misses the box where near > far
-    """
-    axes = list(axes)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        to_lower = (lower - start)[..., axes] / step[..., axes]
-        to_upper = (upper - start)[..., axes] / step[..., axes]
-    # A ray within the plane of a face gives 0/0: the face does not bound it.
-    enters = np.nan_to_num(np.minimum(to_lower, to_upper), nan=-np.inf).max(axis=-1)
-    leaves = np.nan_to_num(np.maximum(to_lower, to_upper), nan=np.inf).min(axis=-1)
-    return np.maximum(enters, 0.0), leaves
 
 
 View = Annotated[

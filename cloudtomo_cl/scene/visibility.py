@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.scene.box import clip_to_box
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.scene import Scene
-from cloudtomo_cl.scene.sensors import AffineView, RayView, View, clip_to_box
+from cloudtomo_cl.scene.sensors import AffineView, RayView, View
 
 # Number of voxel corners that are projected at once: some 100 MB of temporary arrays.
 _CORNERS_AT_ONCE = 1 << 20
