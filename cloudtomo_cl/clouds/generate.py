@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cloudtomo_cl.arguments import a, require_kinds
+from cloudtomo_cl.arguments import NUMBER, WHOLE, a, require_kinds
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.memory import require, require_countable, shape_text, voxels_of
 from cloudtomo_cl.scene.grid import Grid
@@ -22,6 +22,8 @@ from cloudtomo_cl.scene.seeds import checked_seed
 # Heights of base and top, and the margin at the sides, as shares of the domain.
 _BASE, _TOP, _MARGIN = 0.26, 0.82, 0.06
 _THERMALS = 7
+# Far more than any domain shows; each is drawn on all of its voxels.
+_MOST_CLOUDS = 10_000
 # Arrays that live at the same time while one is made, rounded up.
 _BYTES_PER_VOXEL = 64
 # Turbulence: the largest eddies relative to the cloud's depth, and how much smaller the smallest are.
@@ -94,12 +96,20 @@ def cumulus(
 
     Raises
     ------
-    DataError : seed, clouds, peak, base or top out of range; a grid too coarse to hold any cloud
+    DataError : seed, clouds, peak, base or top out of range, or of another kind (InvalidArgumentError); a grid too
+        coarse to hold any cloud
     """
+    require_kinds(
+        "cumulus",
+        clouds=(clouds, WHOLE),
+        peak=(peak, NUMBER),
+        base=(base, NUMBER.or_none()),
+        top=(top, NUMBER.or_none()),
+    )
     _require_memory(grid, "cumulus")
-    if clouds < 1:
-        raise DataError(f"clouds is {clouds}: there must be at least 1")
-    if not (np.isfinite(peak) and peak > 0):
+    if not 1 <= clouds <= _MOST_CLOUDS:
+        raise DataError(f"clouds is {clouds}: there must be at least 1, and at most {_MOST_CLOUDS}")
+    if not 0 < peak < np.inf:
         raise DataError(f"peak is {peak}: it must be finite and above 0 km^-1")
     lower, upper = grid.origin[2], grid.origin[2] + grid.extent[2]
     base = lower + _BASE * grid.extent[2] if base is None else base

@@ -10,11 +10,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from numbers import Complex
 from types import ModuleType
 
 import numpy as np
 
+from cloudtomo_cl.arguments import CALLABLE, NUMBER, NUMBERS, many, require_kinds
 from cloudtomo_cl.errors import DataError, MissingPackageError
+from cloudtomo_cl.scene.arrays import as_numbers
 from cloudtomo_cl.scene.droplets import DropletTable
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
 from cloudtomo_cl.scene.water import water_refractive_index
@@ -35,6 +38,7 @@ _STEP_GROWTH = 0.01
 _SIZES_AT_ONCE = 256
 _LARGEST_SIZE_PARAMETER = 2e4
 
+_INDICES = many(Complex)
 Progress = Callable[[int, int], None]
 
 
@@ -79,9 +83,10 @@ def droplet_table(
 
     Raises
     ------
-    DataError : an argument out of range
+    DataError : an argument out of range, or of another kind (InvalidArgumentError)
     MissingPackageError : miepython is not installed
     """
+    require_kinds("droplet_table", wavelength_nm=(wavelength_nm, NUMBER))
     indices = None if refractive_index is None else [refractive_index]
     return droplet_tables([wavelength_nm], effective_radius, effective_variance, indices, progress)[0]
 
@@ -103,10 +108,17 @@ def droplet_tables(
 
     Raises
     ------
-    DataError : an argument out of range
+    DataError : an argument out of range, or of another kind (InvalidArgumentError)
     MissingPackageError : miepython is not installed
     """
-    radii = np.atleast_1d(np.asarray(effective_radius, dtype=np.float64))
+    require_kinds(
+        "droplet_tables",
+        wavelengths_nm=(wavelengths_nm, NUMBERS),
+        effective_variance=(effective_variance, NUMBER),
+        refractive_indices=(refractive_indices, _INDICES.or_none()),
+        progress=(progress, CALLABLE.or_none()),
+    )
+    radii = np.atleast_1d(as_numbers(effective_radius, "effective_radius"))
     for wavelength in wavelengths_nm:
         _check(wavelength, radii, effective_variance)
     if not len(wavelengths_nm) or not (np.diff(wavelengths_nm) > 0).all():
@@ -221,7 +233,7 @@ def _summed(
 
 
 def _check(wavelength_nm: float, radii: np.ndarray, variance: float) -> None:
-    if not (np.isfinite(wavelength_nm) and wavelength_nm > 0):
+    if not 0 < wavelength_nm < np.inf:
         raise DataError(f"wavelength is {wavelength_nm:g} nm: it must be greater than 0")
     if radii.ndim != 1 or not len(radii) or not (np.isfinite(radii) & (radii > 0)).all():
         raise DataError(f"effective_radius is {list(radii.flat)}: it must be a list of micrometres, all greater than 0")

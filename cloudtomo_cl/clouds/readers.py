@@ -43,7 +43,7 @@ def read_cloud(source: Source, options: ReadingOptions | None = None) -> CloudVo
     require_kinds("read_cloud", options=(options, a(ReadingOptions).or_none()))
     path, options = Path(name_of(source)), options or ReadingOptions()
     in_memory = not isinstance(source, (str, os.PathLike))
-    if options.missing not in ("refuse", "clear"):
+    if not (isinstance(options.missing, str) and options.missing in ("refuse", "clear")):
         raise DataError(f"missing is {options.missing!r}: it must be 'refuse' or 'clear'")
     if not in_memory:
         require_file(path)

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cloudtomo_cl.arguments import a, require_kinds
+from cloudtomo_cl.arguments import NUMBER, WHOLE, Kind, a, is_sequence_of, require_kinds, several
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.extinction import check_extinction, check_radius
 from cloudtomo_cl.files.missing import require_present
-from cloudtomo_cl.scene.arrays import unmasked
+from cloudtomo_cl.memory import require, shape_text, voxels_of
+from cloudtomo_cl.scene.arrays import real_numbers
 from cloudtomo_cl.scene.cards import card
 from cloudtomo_cl.scene.grid import Grid, resample
 
@@ -19,6 +20,10 @@ from cloudtomo_cl.scene.grid import Grid, resample
 COVER_OPTICAL_DEPTH = 0.1
 # A voxel belongs to a crop if its centre lies inside, whatever the last digit says.
 _ROUNDING = 1e-6
+# Extinction, radius and what checks them, in double precision, before and after.
+_BYTES_PER_VOXEL = 48
+_RANGES = several(3, several(2, NUMBER.or_none()))
+_READINGS = Kind("a tuple of pairs of texts", lambda pairs: is_sequence_of(several(2, a(str)), pairs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +49,16 @@ class CloudVolume:
     readings: tuple[tuple[str, str], ...] = field(default=(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        require_kinds("CloudVolume", grid=(self.grid, a(Grid)))
+        require_kinds(
+            "CloudVolume",
+            grid=(self.grid, a(Grid)),
+            wavelength=(self.wavelength, NUMBER.or_none()),
+            readings=(self.readings, _READINGS),
+        )
         for name in ("extinction", "effective_radius"):
-            if getattr(self, name) is None:
+            if name == "effective_radius" and self.effective_radius is None:
                 continue
-            values = unmasked(getattr(self, name))
+            values = real_numbers(getattr(self, name), name)
             object.__setattr__(self, name, values)
             if values.shape != self.grid.shape:
                 raise DataError(f"{name} has shape {values.shape}, the grid {self.grid.shape}")
@@ -79,8 +89,9 @@ class CloudVolume:
 
         Raises
         ------
-        DataError : no voxel is left
+        DataError : no voxel is left; ranges are no such pairs (InvalidArgumentError)
         """
+        require_kinds("CloudVolume.cropped", ranges=(ranges, _RANGES))
         slices, origin = [], []
         for axis, (lower, upper) in enumerate(ranges):
             centres, edge = self.grid.centres(axis), _ROUNDING * self.grid.spacing[axis]
@@ -104,10 +115,13 @@ class CloudVolume:
 
         Raises
         ------
-        DataError : the padding would reach below the ground, or is negative
+        DataError : the padding would reach below the ground, or is negative; voxels are no such pairs
+            (InvalidArgumentError)
         """
+        require_kinds("CloudVolume.padded", voxels=(voxels, several(3, several(2, WHOLE))))
         if any(count < 0 for pair in voxels for count in pair):
             raise DataError("pad: numbers of voxels must not be negative; to take voxels away, crop")
+        self._require_memory("pad", [count + below + above for count, (below, above) in zip(self.grid.shape, voxels)])
         origin = [
             _tidy(start - below * edge) for start, (below, _), edge in zip(self.grid.origin, voxels, self.grid.spacing)
         ]
@@ -124,7 +138,12 @@ class CloudVolume:
         """Turned about the vertical by a multiple of 90 degrees, from +x (east) towards +y (north).
 
         The domain's lower corner stays where it is.
+
+        Raises
+        ------
+        DataError : degrees is no multiple of 90, or no number (InvalidArgumentError)
         """
+        require_kinds("CloudVolume.rotated", degrees=(degrees, NUMBER))
         if degrees % 90:
             raise DataError(f"rotate: {degrees} degrees is no multiple of 90")
         turns = degrees // 90 % 4
@@ -142,8 +161,9 @@ class CloudVolume:
 
         Raises
         ------
-        DataError : an axis does not divide by its factor
+        DataError : an axis does not divide by its factor; factors are no three whole numbers (InvalidArgumentError)
         """
+        require_kinds("CloudVolume.coarsened", factors=(factors, several(3, WHOLE)))
         for axis, (count, factor) in enumerate(zip(self.grid.shape, factors)):
             if factor < 1 or count % factor:
                 more = -count % max(factor, 1)
@@ -160,11 +180,23 @@ class CloudVolume:
         return replace(self, grid=grid, extinction=extinction, effective_radius=radius)
 
     def tiled(self, along_x: int, along_y: int) -> CloudVolume:
-        """Copies side by side."""
+        """Copies side by side.
+
+        Raises
+        ------
+        DataError : a number below 1, or no whole one (InvalidArgumentError)
+        """
+        require_kinds("CloudVolume.tiled", along_x=(along_x, WHOLE), along_y=(along_y, WHOLE))
         if along_x < 1 or along_y < 1:
             raise DataError(f"tile: {along_x} x {along_y} copies: there must be at least 1 along each axis")
+        self._require_memory("tile", (along_x * self.grid.shape[0], along_y * self.grid.shape[1], self.grid.shape[2]))
         copies = (along_x, along_y, 1)
         return self._changed(lambda values: np.tile(values, copies), self.grid.spacing, self.grid.origin)
+
+    def _require_memory(self, what: str, shape: Sequence[int]) -> None:
+        """DataError if there is not memory enough for a cloud of so many voxels."""
+        needed = _BYTES_PER_VOXEL * voxels_of(tuple(shape))
+        require(needed, f"{what}: a cloud of {shape_text(tuple(shape))} voxels", "use fewer")
 
     def _changed(self, change, spacing, origin, change_radius=None) -> CloudVolume:  # type: ignore[no-untyped-def]
         """Both arrays changed alike, on the grid that results."""

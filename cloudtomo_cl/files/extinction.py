@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cloudtomo_cl.arguments import a, require_kinds
+from cloudtomo_cl.arguments import NUMBER, a, require_kinds
 from cloudtomo_cl.errors import DataError, InvalidSettingError
 from cloudtomo_cl.files.axes import TOLERANCE, Axis, read_axis
 from cloudtomo_cl.files.missing import require_present, undeclared_fill
@@ -23,7 +23,7 @@ from cloudtomo_cl.files.netcdf import (
     save_dataset,
 )
 from cloudtomo_cl.files.wavelengths import WAVELENGTH, at_wavelength, wavelength_coordinate, wavelengths_of
-from cloudtomo_cl.scene.arrays import unmasked
+from cloudtomo_cl.scene.arrays import real_numbers
 from cloudtomo_cl.scene.droplets import GEOMETRIC_EXTINCTION_EFFICIENCY
 from cloudtomo_cl.scene.grid import Grid
 
@@ -276,10 +276,12 @@ def extinction_dataset(
 
     Raises
     ------
-    DataError : extinction of another shape, negative or not finite; a radius that is missing in the cloud
+    DataError : extinction of another shape, negative or not finite; a radius that is missing in the cloud; an argument
+        is of another kind (InvalidArgumentError)
     """
     import xarray as xr
 
+    require_kinds(name, wavelength=(wavelength, NUMBER.or_none()))
     variables, coordinates = extinction_variables(name, grid, extinction, effective_radius)
     if wavelength:
         coordinates[WAVELENGTH] = wavelength_coordinate(wavelength)
@@ -293,7 +295,7 @@ def extinction_variables(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Variables and coordinates of an extinction, checked."""
     require_kinds(str(path), grid=(grid, a(Grid)))
-    extinction = unmasked(extinction)
+    extinction = real_numbers(extinction, f"{path}: extinction")
     if extinction.shape != grid.shape:
         raise DataError(f"{path}: extinction has shape {extinction.shape}, the grid {grid.shape}")
     if not np.isfinite(extinction).all():
@@ -317,7 +319,7 @@ def extinction_variables(
     }
     variables: dict[str, Any] = {"extinction": (WRITTEN_AXES, extinction.T.astype(np.float32), described)}
     if effective_radius is not None:
-        effective_radius = unmasked(effective_radius)
+        effective_radius = real_numbers(effective_radius, f"{path}: effective_radius")
         if effective_radius.shape != grid.shape:
             raise DataError(f"{path}: effective_radius has shape {effective_radius.shape}, the grid {grid.shape}")
         check_radius(path, effective_radius, extinction > 0)

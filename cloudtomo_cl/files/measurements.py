@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -10,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from cloudtomo_cl.arguments import PATH, a, many, require_kinds
+from cloudtomo_cl.arguments import MAPPING, PATH, Kind, a, many, require_kinds
 from cloudtomo_cl.errors import DataError, InvalidSettingError
 from cloudtomo_cl.files.axes import components_in_order, in_order
 from cloudtomo_cl.files.extinction import extinction_variables
 from cloudtomo_cl.files.missing import undeclared_fill
 from cloudtomo_cl.files.netcdf import (
     Source,
+    as_json,
     component_coordinate,
     factor_of,
     file_attributes,
@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
 RADIANCE_UNITS = "W m-2 sr-1"
+_CLOUD = Kind(
+    "a tuple of grid, extinction, and effective radius or None", lambda c: isinstance(c, tuple) and len(c) == 3
+)
 # A radiance below zero by more standard errors than this is no noise.
 _MOST_BELOW_ZERO = 8.0
 # What a variable `valid` may say of its flags 0 and 1.
@@ -126,12 +129,13 @@ def measurements_dataset(
     Raises
     ------
     DataError : no view; images without a wavelength, of wavelengths that do not increase, or of other views beside
-        others; as `extinction_dataset`
+        others; as `extinction_dataset`, also where an argument is of another kind (InvalidArgumentError)
     """
     require_kinds(name, measurements=(measurements, a(Measurements).or_(many(Measurements))))
+    require_kinds(name, settings=(settings, MAPPING.or_none()), cloud=(cloud, _CLOUD.or_none()))
     if isinstance(measurements, Measurements):
         return _dataset(measurements, attributes, settings, cloud, name)
-    if not measurements:
+    if not len(measurements):
         raise DataError(f"{name}: there are no images to write")
     first = measurements[0]
     if any(_of_views(one) != _of_views(first) for one in measurements):
@@ -202,7 +206,7 @@ def _dataset(
         coordinates.update(of_cloud[1])
     described = file_attributes("images of a cloud, and the views that they were taken from", attributes)
     if settings is not None:
-        described["settings"] = json.dumps(settings, indent=1)
+        described["settings"] = as_json("settings", settings, 1)
     return xr.Dataset(variables, coordinates, described)
 
 

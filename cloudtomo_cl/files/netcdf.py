@@ -14,13 +14,14 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from numbers import Number
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Union
 
 import numpy as np
 
-from cloudtomo_cl.arguments import PATH, require_kinds
-from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.arguments import MAPPING, PATH, Kind, a, require_kinds
+from cloudtomo_cl.errors import DataError, InvalidArgumentError
 from cloudtomo_cl.files.missing import decode_all
 from cloudtomo_cl.files.units import RADIANCE, Unit, parse_unit
 from cloudtomo_cl.files.whole import check_apart, check_target, written_whole
@@ -331,11 +332,32 @@ def component_coordinate() -> tuple[str, Any, dict[str, str]]:
     return "axis", np.array(AXES, dtype=object), {"units": "1", "long_name": "component of a vector"}
 
 
+def _is_stored(value: Any) -> bool:
+    """Whether an attribute of a netCDF file can have a value; mappings become text."""
+    if isinstance(value, (str, bytes, Mapping)):
+        return True
+    if not isinstance(value, (Number, np.ndarray, list, tuple)):
+        return False
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError):
+        return False
+    return array.ndim < 2 and (array.dtype.kind in "iuSU" or array.dtype in (np.float32, np.float64))
+
+
+_STORED = Kind("text, a number, or a list of them; mappings are stored as JSON", _is_stored)
+
+
 def file_attributes(title: str, attributes: Mapping[str, Any] | None) -> dict[str, Any]:
     """Attributes as netCDF holds them, with those that CF wants every file to have.
 
     title : what is in the file, unless `attributes` have one
+
+    Raises
+    ------
+    InvalidArgumentError : attributes are no mapping, or one of them is nothing that a file or JSON can hold
     """
+    require_kinds("writing", attributes=(attributes, MAPPING.or_none()))
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     described: dict[str, Any] = {
         "Conventions": CONVENTIONS,
@@ -344,5 +366,14 @@ def file_attributes(title: str, attributes: Mapping[str, Any] | None) -> dict[st
         "references": REFERENCES,
     }
     for name, value in (attributes or {}).items():
-        described[name] = json.dumps(value) if isinstance(value, Mapping) else value
+        require_kinds("attributes", name=(name, a(str)), **{repr(name): (value, _STORED)})
+        described[name] = as_json(f"attributes: {name!r}", value) if isinstance(value, Mapping) else value
     return described
+
+
+def as_json(what: str, value: Any, indent: int | None = None) -> str:
+    """A value as JSON. InvalidArgumentError if it holds what JSON has not."""
+    try:
+        return json.dumps(value, indent=indent)
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise InvalidArgumentError(f"{what} cannot be JSON ({error}): give text, numbers, lists and mappings") from None

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cloudtomo_cl.arguments import PATH, a, many, require_kinds
+from cloudtomo_cl.arguments import NUMBER, PATH, a, many, require_kinds
 from cloudtomo_cl.errors import DataError, InvalidSettingError
 from cloudtomo_cl.files.netcdf import (
     factor_of,
@@ -93,6 +93,7 @@ def read_droplet_table(path: str | os.PathLike[str], wavelength: float | None = 
 
 def _at(path: Any, wavelength: float | None) -> xr.Dataset:
     """What a file of one or several wavelengths has of one; with one, its number is an attribute."""
+    require_kinds(str(path), wavelength=(wavelength, NUMBER.or_none()))
     dataset = load_dataset(path)
     if WAVELENGTH in dataset.variables:
         dataset = at_wavelength(path, dataset, wavelength)
@@ -134,7 +135,7 @@ def write_phase_function(
 
 def _several(path: Any, tables: Sequence[DropletTable], attributes: Mapping[str, Any] | None) -> xr.Dataset:
     """Tables by their wavelength; one alone is as ever."""
-    if not tables:
+    if not len(tables):
         raise DataError(f"{path}: there is no table to write")
     if len(tables) == 1:
         return _dataset(tables[0], attributes)

@@ -13,6 +13,7 @@ import numpy as np
 from cloudtomo_cl.arguments import PATH, Kind, a, require_kinds
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.whole import written_whole
+from cloudtomo_cl.scene.arrays import real_numbers
 from cloudtomo_cl.scene.grid import Grid
 
 ENDINGS = (".vti",)
@@ -21,7 +22,8 @@ _NUMBERS = {"f4": "Float32", "i1": "Int8"}
 
 def _are_pairs(quantities: Any) -> bool:
     return isinstance(quantities, Mapping) and all(
-        isinstance(one, tuple) and len(one) == 2 for one in quantities.values()
+        isinstance(name, str) and isinstance(pair, tuple) and len(pair) == 2 and isinstance(pair[1], str)
+        for name, pair in quantities.items()
     )
 
 
@@ -36,19 +38,20 @@ def write_vti(path: str | os.PathLike[str], grid: Grid, quantities: Mapping[str,
 
     Raises
     ------
-    DataError : no quantity, or one of another shape; the file cannot be written
+    DataError : no quantity, or one of another shape or kind (InvalidArgumentError); the file cannot be written
 
     Source: "VTK XML File Formats" of VTK's documentation; data is appended, compressed by zlib in one block.
     """
-    pairs = Kind("a dict of pairs: values and their unit", _are_pairs)
+    pairs = Kind("a dict, by names, of pairs: values and their unit", _are_pairs)
     require_kinds("write_vti", path=(path, PATH), grid=(grid, a(Grid)), quantities=(quantities, pairs))
     if not quantities:
         raise DataError(f"{path}: there is no quantity to write")
     described, data, offset = [], [], 0
     for name, (values, unit) in quantities.items():
-        if np.shape(values) != grid.shape:
-            raise DataError(f"{path}: {name} has shape {np.shape(values)}, the grid {grid.shape}")
-        stored = np.asarray(values).astype("i1" if np.asarray(values).dtype == bool else "<f4")
+        values = real_numbers(values, f"{path}: {name}")
+        if values.shape != grid.shape:
+            raise DataError(f"{path}: {name} has shape {values.shape}, the grid {grid.shape}")
+        stored = values.astype("i1" if values.dtype == bool else "<f4")
         block = _block(np.ascontiguousarray(stored.T).tobytes())  # x runs fastest
         described.append(
             f'<DataArray type="{_NUMBERS[stored.dtype.str[1:]]}" Name={quoteattr(name)} format="appended" '

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cloudtomo_cl.arguments import NUMBER, require_kinds
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.netcdf import Source, factor_of, load_dataset, name_of, number_variable
 
@@ -123,8 +124,10 @@ def at_wavelength(path: Any, dataset: xr.Dataset, wavelength: float | None = Non
 
     Raises
     ------
-    DataError : it holds several and none is chosen, or has not the one that is asked for
+    DataError : it holds several and none is chosen, or has not the one that is asked for; wavelength is no number
+        (InvalidArgumentError)
     """
+    require_kinds(str(path), wavelength=(wavelength, NUMBER.or_none()))
     found = wavelengths_of(path, dataset)
     if wavelength is None and len(found) > 1:
         raise DataError(f"{path}: holds {_listed(found)}: {_HOW}")

@@ -6,6 +6,7 @@ import os
 from dataclasses import dataclass
 from typing import Any
 
+from cloudtomo_cl.arguments import a, able, require_kinds
 from cloudtomo_cl.errors import DeviceError
 from cloudtomo_cl.opencl import kernel_cache
 from cloudtomo_cl.opencl.device import Device, accumulation
@@ -15,6 +16,8 @@ from cloudtomo_cl.parallel.ranks import ALONE, Ranks
 ENVIRONMENT_VARIABLE = "CLOUDTOMO_DEVICE"
 # Environment variables for the number of threads of PoCL's CPU device, in earlier and in later releases.
 _THREADS_OF_POCL = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
+
+_COMMUNICATOR = able("a communicator of mpi4py, for instance MPI.COMM_WORLD, or None", "Dup", "Get_size").or_(a(Ranks))
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,7 @@ def choose_device(name: str | int | None = None, communicator: Any = None) -> De
     Raises
     ------
     DeviceError : there is no such device
+    InvalidArgumentError : communicator is none
     """
     ranks = _ranks_of(communicator)
     devices = _opencl_devices()
@@ -150,6 +154,7 @@ def _ranks_of(communicator: Any) -> Ranks:
     """The ranks of a communicator. Divides a machine's cores among its ranks before PoCL's driver counts them."""
     if communicator is None:
         return ALONE
+    require_kinds("choose_device", communicator=(communicator, _COMMUNICATOR))
     if not isinstance(communicator, Ranks):
         from cloudtomo_cl.parallel.mpi import MPIRanks
 

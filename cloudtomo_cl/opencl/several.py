@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
+from cloudtomo_cl.arguments import CALLABLE, WHOLE, Kind, a, is_sequence_of, require_kinds
 from cloudtomo_cl.errors import DeviceError
 from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.opencl.devices import choose_device
@@ -29,9 +30,13 @@ def on_devices(names: Sequence[str | int], work: Callable[[Device], _Result]) ->
 
     Raises
     ------
+    InvalidArgumentError : names are no sequence, or work is no function
     DeviceError : no name is given, or there is no such device; other errors as `work` raises them
     """
-    if not names:
+    one_name = a(str).or_(WHOLE)
+    kind = Kind("a tuple or list of names or indices of devices", lambda value: is_sequence_of(one_name, value))
+    require_kinds("on_devices", names=(names, kind), work=(work, CALLABLE))
+    if not len(names):
         raise DeviceError("no device is named: give at least one (`cloudtomo devices` lists them)")
 
     def one(ranks: Ranks) -> _Result:
