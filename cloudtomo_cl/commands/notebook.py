@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
+from cloudtomo_cl.arguments import NUMBER, Kind, require_kinds
 from cloudtomo_cl.commands.progress import ReconstructionProgress, duration
 
 if TYPE_CHECKING:
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
 # Seconds between two looks of a notebook: each is a message to the browser.
 _BETWEEN = 0.5
+_RECORD = Kind("an IterationRecord", lambda record: hasattr(record, "iterations") and hasattr(record, "cost"))
 
 
 class ProgressDisplay:
@@ -27,9 +29,14 @@ class ProgressDisplay:
     Parameters
     ----------
     time_limit : seconds, of `reconstruct`: for the time that is left
+
+    Raises
+    ------
+    InvalidArgumentError : time_limit is no number; what is shown is no record of an iteration
     """
 
     def __init__(self, time_limit: float | None = None) -> None:
+        require_kinds("ProgressDisplay", time_limit=(time_limit, NUMBER.or_none()))
         self._console = Console(markup=False, emoji=False)
         self._progress = _quiet(time_limit) if in_notebook(self._console) else None
         self._lines = ReconstructionProgress(self._console, time_limit) if self._progress is None else self._progress
@@ -51,6 +58,7 @@ class ProgressDisplay:
         self._lines.__exit__(*details)
 
     def __call__(self, record: IterationRecord) -> None:
+        require_kinds("ProgressDisplay", record=(record, _RECORD))
         self._last = record
         self._lines(record)
         if self._progress is not None and time.monotonic() - self._shown >= _BETWEEN:

@@ -91,14 +91,16 @@ def cloudy_pixels(
 
     Raises
     ------
-    DataError : the views of the two differ; contrast or significance is negative
+    DataError : the views of the two differ; contrast or significance is negative or not finite
     """
     require_kinds("carve", measurements=(measurements, a(Measurements)), cloud_free=(cloud_free, a(Measurements)))
     require_kinds("carve", contrast=(contrast, NUMBER), significance=(significance, NUMBER))
     if cloud_free.views != measurements.views:
         raise DataError("the cloud-free images are not of the measurements' views: render them with the same ones")
-    if not (contrast >= 0 and significance >= 0):
-        raise DataError(f"contrast is {contrast} and significance {significance}: neither may be negative")
+    if not (0 <= contrast < np.inf and 0 <= significance < np.inf):
+        raise DataError(
+            f"contrast is {contrast} and significance {significance}: neither may be negative, and both must be finite"
+        )
     differences = [np.abs(image - ground) for image, ground in zip(measurements.images, cloud_free.images)]
     errors = [
         np.hypot(error if isinstance(view, RayView) else _of_the_quietest(error), other)

@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import zlib
 from collections.abc import Sequence
-from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
 
-from cloudtomo_cl.arguments import CALLABLE, PATH, a, many, require_kinds
+from cloudtomo_cl.arguments import CALLABLE, NUMBER, PATH, WHOLE, a, many, require_kinds
 from cloudtomo_cl.errors import DataError, DeviceError
 from cloudtomo_cl.inversion.bound_priors import unlike_prior
 from cloudtomo_cl.inversion.brightness import brightness_text
@@ -25,6 +24,7 @@ from cloudtomo_cl.inversion.stuck_pixels import stuck_text
 from cloudtomo_cl.memory import shape_text
 from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.parallel.ranks import Ranks
+from cloudtomo_cl.scene.arrays import as_numbers
 from cloudtomo_cl.scene.grid import Grid, mean_chord
 from cloudtomo_cl.scene.masks import checked_mask
 from cloudtomo_cl.scene.measurements import Measurements, check_wavelength
@@ -38,6 +38,8 @@ from cloudtomo_cl.scene.visibility import voxels_in_view
 _LEAST_START, _MOST_START = 1e-3, 1000.0
 # Largest share of the voxels that may hold cloud, but are in no image, of which nothing is said.
 _LARGEST_UNSEEN = 0.01
+# Far more draws than standard errors need.
+_MOST_DRAWS = 10_000
 # What to do where memory is short.
 _FEWER = "choose a coarser [grid] or [[stage]], or fewer samples or pixels"
 
@@ -69,9 +71,10 @@ def check(
     check_wavelength(scene, measurements)
     brightness_text(scene, measurements)  # which refuses what no cloud can be
     unlike_prior(prior, scene.grid)  # which reads its file
-    if truth is not None and np.shape(truth) != scene.grid.shape:
-        raise DataError(f"truth has shape {np.shape(truth)}, the grid {scene.grid.shape}")
     if truth is not None:
+        given = as_numbers(truth, "truth").shape
+        if given != scene.grid.shape:
+            raise DataError(f"truth has shape {given}, the grid {scene.grid.shape}")
         epsilon(np.zeros(scene.grid.shape), truth)  # which refuses what is missing
     if mask is None and resume is not None:
         mask = resume.mask
@@ -123,10 +126,12 @@ def check_ends(time_limit: Any, checkpoint_interval: Any, uncertainty: Any) -> N
     """DataError for what would be found wrong only after an iteration, or when the recovery is done."""
     seconds = {"time_limit": time_limit, "checkpoint_interval": checkpoint_interval}
     for name, value in seconds.items():
-        if not (isinstance(value, Real) and float(value) >= 0) and not (name == "time_limit" and value is None):
+        if not (NUMBER.fits(value) and float(value) >= 0) and not (name == "time_limit" and value is None):
             raise DataError(f"{name} is {value!r}: it must be a number of seconds, at least 0")
-    if not isinstance(uncertainty, Integral) or int(uncertainty) < 0:
-        raise DataError(f"uncertainty is {uncertainty!r}: it must be a whole number of draws, at least 0")
+    if not (WHOLE.fits(uncertainty) and 0 <= uncertainty <= _MOST_DRAWS):
+        raise DataError(
+            f"uncertainty is {uncertainty!r}: it must be a whole number of draws, at least 0 and at most {_MOST_DRAWS}"
+        )
 
 
 def _check_start(grid: Grid, stages: Sequence[Stage], solver: Any) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from cloudtomo_cl.scene.arrays import as_numbers
 from cloudtomo_cl.transport.jacobian import Jacobian
 
 
@@ -31,7 +32,7 @@ class LinearModel:
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """The modelled images at an extinction, shape (pixels,)."""
-        return self.image + self.jacobian @ (np.asarray(x, float) - self.x0)
+        return self.image + self.jacobian @ (as_numbers(x, "x") - self.x0)
 
     def __repr__(self) -> str:
         pixels, voxels = self.jacobian.shape

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from numbers import Integral
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cloudtomo_cl.arguments import a, many, require_kinds
+from cloudtomo_cl.arguments import NUMBER, WHOLE, a, require_kinds, several
 from cloudtomo_cl.blas import with_one_blas_thread
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.inversion.bound_priors import stage_prior
@@ -28,7 +27,7 @@ from cloudtomo_cl.scene.arrays import as_numbers
 from cloudtomo_cl.scene.grid import Grid, coarsened
 from cloudtomo_cl.scene.masks import checked_mask
 from cloudtomo_cl.scene.measurements import Measurements, check_wavelength
-from cloudtomo_cl.scene.pointing import moved
+from cloudtomo_cl.scene.pointing import checked_motions, moved
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.transport.radiance import RadianceOperator
 from cloudtomo_cl.transport.table_gradient import TableGradient
@@ -105,8 +104,9 @@ class Problem:
             scene=(scene, a(Scene)),
             measurements=(measurements, a(Measurements)),
             prior=(prior, PRIOR.or_none()),
-            grid=(grid, many(Integral).or_none()),
+            grid=(grid, several(3, WHOLE).or_none()),
             device=(device, a(Device).or_none()),
+            prior_weight=(prior_weight, NUMBER),
         )
         check_wavelength(scene, measurements)
         brightness_text(scene, measurements)  # which refuses what no cloud can be
@@ -158,6 +158,7 @@ class Problem:
 
     def with_motions(self, motions: np.ndarray) -> Problem:
         """The same problem with the views after small motions (`scene.pointing`), shape (views, 3)."""
+        motions = checked_motions(motions, len(self.active.views))
         if not np.any(motions):
             return self
         views = [moved(view, motion, self.grid) for view, motion in zip(self.active.views, motions)]
@@ -184,7 +185,7 @@ class Problem:
         from cloudtomo_cl.inversion.linear_model import LinearModel
         from cloudtomo_cl.transport.jacobian_average import JacobianAverage
 
-        x = self._checked(x)
+        x = self.checked(x)
         operator, grid = self.operator.without_branches(), self.on_grid(x)
         rendering = operator.render(grid, self.paths_per_pixel(samples), seed, stream, store_paths=True)
         derivatives = JacobianAverage(operator)
@@ -201,7 +202,7 @@ class Problem:
         Neither is biased by the images' noise. With the same seed and stream they are functions of x alone.
         Parameters and errors are those of `linearise`.
         """
-        x = self._checked(x)
+        x = self.checked(x)
         rendering = self.operator.render(self.on_grid(x), self.paths_per_pixel(samples), seed, stream, store_paths=True)
         image = AveragedImage.empty(len(self.active))
         data = (rendering.halves, self.radiance, self.weights, self.active.calibration)
@@ -215,6 +216,7 @@ class Problem:
 
         modelled_noise : part of the data term that the modelled images' noise adds
         """
+        require_kinds("Problem.units", modelled_noise=(modelled_noise, NUMBER))
         measured = self.active.unit
         both = measured + 2 * modelled_noise / len(self.active)
         return NoiseUnits(self.prior_weight * measured, both, self.prior_weight)
@@ -223,8 +225,9 @@ class Problem:
         """Paths per pixel for derivatives: those given, or the problem's, or the default; `render` refuses 0."""
         return next(count for count in (samples, self.samples, self.default_samples) if count is not None)
 
-    def _checked(self, x: np.ndarray) -> np.ndarray:
-        x = as_numbers(x, "x")
+    def checked(self, x: np.ndarray, name: str = "x") -> np.ndarray:
+        """Values of the mask's voxels in double precision, shape (voxels,). DataError, by a name, if they are none."""
+        x = as_numbers(x, name)
         if x.shape != (len(self.voxels),):
-            raise DataError(f"x has shape {x.shape}: it must be ({len(self.voxels)},), the voxels of the mask")
+            raise DataError(f"{name} has shape {x.shape}: it must be ({len(self.voxels)},), the voxels of the mask")
         return x

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cloudtomo_cl.arguments import a, require_kinds
+from cloudtomo_cl.errors import DataError
+from cloudtomo_cl.scene.arrays import real_numbers
 from cloudtomo_cl.scene.grid import Grid
 from cloudtomo_cl.scene.masks import checked_mask
 
@@ -39,7 +41,15 @@ class Voxels:
         return f"Voxels({len(self)} of {self.grid.text})"
 
     def on_grid(self, values: np.ndarray) -> np.ndarray:
-        """Values of the voxels, shape (voxels,), on the grid, float32; 0 outside of the mask."""
+        """Values of the voxels, shape (voxels,), or one for all, on the grid, float32; 0 outside of the mask.
+
+        Raises
+        ------
+        DataError : values of another shape, or that are no numbers (InvalidArgumentError)
+        """
+        values = real_numbers(values, "values")
+        if values.shape not in ((), (1,), (len(self),)):
+            raise DataError(f"values have shape {values.shape}: it must be ({len(self)},), the voxels of the mask")
         array = np.zeros(self.mask.shape, np.float32)
         array[self.mask] = values
         return array

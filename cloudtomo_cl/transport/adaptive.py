@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cloudtomo_cl.arguments import NUMBER, a, require_kinds
+from cloudtomo_cl.arguments import CALLABLE, NUMBER, a, require_kinds
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.transport.audit import Audit, combined
 from cloudtomo_cl.transport.radiance import RadianceOperator
@@ -76,7 +76,13 @@ def render_to_error(
     ------
     DataError : target_error is not above 0; the rest as `RadianceOperator.render`
     """
-    require_kinds("render_to_error", operator=(operator, a(RadianceOperator)), target_error=(target_error, NUMBER))
+    require_kinds(
+        "render_to_error",
+        operator=(operator, a(RadianceOperator)),
+        target_error=(target_error, NUMBER),
+        most_paths=(most_paths, NUMBER),
+        progress=(progress, CALLABLE.or_none()),
+    )
     if not target_error > 0:
         raise DataError(f"target_error is {target_error}: it must be above 0, for instance 0.01 for 1 %")
     extinction = operator.ranks.together(lambda: operator.on_device(extinction))

@@ -11,7 +11,7 @@ from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.files.missing import require_present
 from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.opencl.layout import scene_struct
-from cloudtomo_cl.scene.arrays import as_numbers, unmasked
+from cloudtomo_cl.scene.arrays import as_numbers, real_numbers
 from cloudtomo_cl.scene.masks import checked_mask
 from cloudtomo_cl.scene.phase import TabulatedPhaseFunction
 from cloudtomo_cl.scene.scene import Scene, Surface
@@ -111,7 +111,7 @@ class DeviceScene:
                 raise DataError("gradients need clear voxels, which this medium skips: give the extinction itself")
             return extinction
         if not self.device.is_array(extinction):
-            extinction = unmasked(extinction)
+            extinction = real_numbers(extinction, "extinction")
         if tuple(extinction.shape) != self.scene.grid.shape:
             raise DataError(f"extinction has shape {tuple(extinction.shape)}, the grid {self.scene.grid.shape}")
         empty, skips_zeros = self._empty_by_mask, False
@@ -128,8 +128,6 @@ class DeviceScene:
 
     def _checked(self, extinction: np.ndarray) -> np.ndarray:
         """An extinction as kernels take it; see `medium`."""
-        if extinction.dtype.kind == "c":
-            raise DataError("extinction is complex: it must be real numbers, km^-1")
         values = np.ascontiguousarray(extinction, np.float32)
         check_extinction(values)
         if self._radius is not None:

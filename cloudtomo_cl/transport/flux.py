@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cloudtomo_cl.arguments import a, require_kinds
+from cloudtomo_cl.arguments import CALLABLE, a, require_kinds
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.opencl.devices import choose_device
@@ -75,7 +75,7 @@ class Fluxes:
     def domain_mean(self, name: str) -> Estimate:
         """The mean over all columns, two floats, of "reflected", "direct", "diffuse", "transmitted" or "absorbed"."""
         known = ("transmitted", *(flux.lower() for flux in FLUXES))
-        if name not in known:
+        if not (isinstance(name, str) and name in known):
             raise DataError(f"domain_mean: name is {name!r}: it must be one of {', '.join(known)}")
         return self._of(("DIRECT", "DIFFUSE") if name == "transmitted" else (name.upper(),), mean=True)
 
@@ -166,13 +166,14 @@ class FluxOperator:
         AuditError : energy was lost or gained (see `Audit.check`)
         TransportError : a column's sum has overflowed
         """
+        require_kinds("FluxOperator.compute", progress=(progress, CALLABLE.or_none()))
         photons = checked_photons(photons)
         seed = checked_seed(seed)
         medium = self._device_scene.medium(extinction, skips_empty=True)
         samples = -(-photons // (_BATCHES * self._pixels))  # per pixel of the sun and batch
         if _BATCHES * samples > MOST_SAMPLES:
             most = MOST_SAMPLES // _BATCHES * _BATCHES * self._pixels
-            raise DataError(f"photons is {photons:.6g}: this scene has at most {most:.6g}")
+            raise DataError(f"photons is {min(photons, 10**300):.6g}: this scene has at most {most:.6g}")
         budget = Budget(self.device)
         batches = self._traced(medium, samples, seed, budget, progress)
         launched = _BATCHES * samples * self._pixels

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse.linalg import LinearOperator
 
+from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.opencl.arrays import DeviceArray
 from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.opencl.driver import device_errors
@@ -19,6 +20,7 @@ from cloudtomo_cl.opencl.gathering import Gathering
 from cloudtomo_cl.opencl.layout import TILE_WIDTH
 from cloudtomo_cl.opencl.memory import Footprint
 from cloudtomo_cl.parallel.ranks import Shares
+from cloudtomo_cl.scene.arrays import real_numbers
 from cloudtomo_cl.transport.blocks import MOST_PAIRS, Blocks
 from cloudtomo_cl.transport.jacobian_columns import COLUMNS_AT_ONCE, FAR_PART, PRODUCT_FEATURES, JacobianColumns
 from cloudtomo_cl.transport.jacobian_structure import JacobianStructure
@@ -81,7 +83,7 @@ class Jacobian(LinearOperator):
     def _of_host(self, product: Any, vector: np.ndarray, length: int) -> np.ndarray:
         """A product with a vector of the host."""
         given, result = self._array("given", vector.size), self._array("result", length)
-        given.set(np.ascontiguousarray(vector, np.float32).reshape(-1))
+        given.set(np.ascontiguousarray(real_numbers(vector, "the vector"), np.float32).reshape(-1))
         product(given, result)
         return result.get()
 
@@ -95,7 +97,14 @@ class Jacobian(LinearOperator):
         Returns
         -------
         shape (voxels,), float64
+
+        Raises
+        ------
+        DataError : weights of another shape, or that are no numbers (InvalidArgumentError)
         """
+        weights = real_numbers(weights, "weights")
+        if weights.shape != (self.shape[0],):
+            raise DataError(f"weights have shape {weights.shape}: it must be ({self.shape[0]},), the pixels")
         structure, columns = self._structure, self._columns
         given, result = self._array("given", structure.pixels), self._array("result", structure.voxels)
         given.set(np.ascontiguousarray(weights, np.float32))

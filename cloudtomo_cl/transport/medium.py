@@ -10,7 +10,7 @@ import numpy as np
 from cloudtomo_cl.errors import DataError
 
 # Optical depth across a voxel's shortest edge; the densest clouds have some 10.
-_LARGEST_VOXEL_DEPTH = 1e5
+LARGEST_VOXEL_DEPTH = 1e5
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +49,8 @@ def check_depth(values: np.ndarray, edge: float) -> None:
     """Raises DataError if an optical depth is so large that paths would scatter in one voxel for ever."""
     voxel = tuple(int(i) for i in np.unravel_index(np.argmax(values), values.shape))
     depth = float(values[voxel]) * edge
-    if depth > _LARGEST_VOXEL_DEPTH:
+    if depth > LARGEST_VOXEL_DEPTH:
         raise DataError(
             f"extinction at voxel {voxel} is {values[voxel]:.4g} km^-1, an optical depth of {depth:.3g} across "
-            f"{edge:g} km (at most {_LARGEST_VOXEL_DEPTH:g}): are its unit (km^-1) and the coordinates' (km) right?"
+            f"{edge:g} km (at most {LARGEST_VOXEL_DEPTH:g}): are its unit (km^-1) and the coordinates' (km) right?"
         )

@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from cloudtomo_cl.arguments import CALLABLE, NUMBER, a, many, require_kinds
+from cloudtomo_cl.arguments import CALLABLE, NUMBER, TRUTH, a, many, require_kinds
 from cloudtomo_cl.errors import DataError, TransportError
 from cloudtomo_cl.memory import voxels_of
 from cloudtomo_cl.opencl.arrays import DeviceArray
@@ -19,6 +19,7 @@ from cloudtomo_cl.opencl.driver import device_errors
 from cloudtomo_cl.opencl.pace import Pace
 from cloudtomo_cl.parallel.ranks import Ranks, Shares
 from cloudtomo_cl.renamed import renamed_arguments, renamed_attributes
+from cloudtomo_cl.scene.arrays import real_numbers, unmasked
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.sensors import View
 from cloudtomo_cl.transport.audit import Budget, check_replays
@@ -26,7 +27,7 @@ from cloudtomo_cl.transport.device_pixels import DevicePixels
 from cloudtomo_cl.transport.device_scene import DeviceScene
 from cloudtomo_cl.transport.gradient import deposited
 from cloudtomo_cl.transport.launches import Launch, StoredLaunch
-from cloudtomo_cl.transport.medium import Medium
+from cloudtomo_cl.transport.medium import LARGEST_VOXEL_DEPTH, Medium
 from cloudtomo_cl.transport.path_sums import BRANCHES, PathSums, statistics
 from cloudtomo_cl.transport.rendering import Rendering, joined
 from cloudtomo_cl.transport.rendering_memory import on_device, pixels_at_once, require_memory
@@ -92,11 +93,11 @@ class RadianceOperator:
             device=(device, a(Device).or_none()),
             truncation=(truncation, NUMBER.or_none()),
         )
-        if not views:
+        if not len(views):
             raise DataError("no view: a scene needs at least one to be rendered")
         if truncation is not None and not truncation > 0:
             raise DataError(f"truncation is {truncation}: it must be above 0 sr^-1")
-        if estimator not in (None, *get_args(Estimator)):
+        if estimator is not None and not (isinstance(estimator, str) and estimator in get_args(Estimator)):
             *others, last = (f'"{name}"' for name in get_args(Estimator))
             allowed = f"{', '.join(others)} or {last}"
             raise DataError(
@@ -148,7 +149,9 @@ class RadianceOperator:
         TransportError : a radiance is not finite
         AuditError : energy was lost or gained (see `Audit.check`)
         """
-        require_kinds("RadianceOperator.render", progress=(progress, CALLABLE.or_none()))
+        require_kinds(
+            "RadianceOperator.render", store_paths=(store_paths, TRUTH), progress=(progress, CALLABLE.or_none())
+        )
         at_once = min(self.ranks.all(pixels_at_once(self.device, voxels_of(self.scene.grid.shape), len(self.pixels))))
         if at_once < len(self.pixels) and not store_paths:
             options = {"seed": seed, "stream": stream, "first_sample": first_sample}
@@ -194,7 +197,13 @@ class RadianceOperator:
         return self._with(self._pixels.of_pixels(pixels))
 
     def of_views(self, views: Sequence[View]) -> RadianceOperator:
-        """The same operator for other views that have the same pixels; see the class."""
+        """The same operator for other views that have the same pixels; see the class.
+
+        Raises
+        ------
+        InvalidArgumentError : views are none
+        """
+        require_kinds("RadianceOperator.of_views", views=(views, many(View)))
         return self._with(self._pixels.of_views(views))
 
     def without_branches(self) -> RadianceOperator:
@@ -304,11 +313,15 @@ class RadianceOperator:
         require_kinds("RadianceOperator.gradient", rendering=(rendering, a(Rendering)))
         if rendering._launches is None:
             raise DataError("this rendering kept no paths: render with store_paths=True (a copy of one has none)")
-        adjoint = np.asarray(adjoint)
+        adjoint = unmasked(adjoint, "adjoint")
+        require_kinds("RadianceOperator.gradient", virtual_limit=(virtual_limit, NUMBER.or_none()))
         if adjoint.shape != (len(self.pixels), 2) or adjoint.dtype.kind not in "iuf":
             raise DataError(f"adjoint is {adjoint.dtype} {adjoint.shape}: it must be numbers ({len(self.pixels)}, 2)")
-        if virtual_limit is not None and not 0 <= virtual_limit < np.inf:
-            raise DataError(f"virtual_limit is {virtual_limit}: it must be finite and at least 0 km^-1")
+        if virtual_limit is not None and not 0 <= virtual_limit * min(self.scene.grid.spacing) <= LARGEST_VOXEL_DEPTH:
+            raise DataError(
+                f"virtual_limit is {virtual_limit}: it must be at least 0 km^-1, and an optical depth of at most "
+                f"{LARGEST_VOXEL_DEPTH:g} across a voxel"
+            )
         deposit = partial(self._replay, rendering, virtual_limit)
         return deposited(self.scene, self.device, self.shares, adjoint, rendering.samples, deposit)[0]
 
@@ -342,6 +355,7 @@ class RadianceOperator:
         DataError : the rendering did not keep its paths
         AuditError : after the last of them, if paths have brought other radiances than before
         """
+        require_kinds("RadianceOperator.stored_launches", rendering=(rendering, a(Rendering)))
         if rendering._launches is None:
             raise DataError("this rendering kept no paths: render with store_paths=True (a copy of one has none)")
         made_by: RadianceOperator = rendering._operator
@@ -357,9 +371,9 @@ class RadianceOperator:
     def images(self, values: np.ndarray) -> list[np.ndarray]:
         """Values per pixel as one image (rows, columns) per view; NaN where no pixel is.
 
-        Raises DataError if there is not one value for each pixel.
+        Raises DataError if there is not one value for each pixel; InvalidArgumentError if they are no numbers.
         """
-        values = np.asarray(values)
+        values = real_numbers(values, "values")
         if values.shape != (len(self.pixels),):
             raise DataError(f"values have shape {values.shape}: one is needed for each of {len(self.pixels)} pixels")
         images = [np.full(view.pixels[0] * view.pixels[1], np.nan) for view in self.views]

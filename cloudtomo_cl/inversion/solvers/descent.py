@@ -10,10 +10,11 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.arguments import a, require_kinds
 from cloudtomo_cl.blas import with_one_blas_thread
 from cloudtomo_cl.inversion.objective import AveragedImage
 from cloudtomo_cl.inversion.problem import Problem
-from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
+from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient, start_of
 from cloudtomo_cl.inversion.solvers.state import not_saved
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.opencl.device import Device
@@ -107,7 +108,7 @@ class _Descent:
 
     def init(self, problem: Problem, extinction: np.ndarray) -> DescentState:
         """The state before the first iteration; see `Solver`."""
-        start = np.maximum(np.asarray(extinction, np.float32), np.float32(self.floor))
+        start = np.maximum(start_of(self, problem, extinction), np.float32(self.floor), dtype=np.float32)
         nothing = np.zeros_like(start)
         image = AveragedImage.empty(len(problem.active))
         by_table = TableGradient(problem.operator) if self.gradient == "adjoint" else None
@@ -121,6 +122,7 @@ class _Descent:
         ------
         TransportError : the gradient is not finite
         """
+        require_kinds("step", problem=(problem, a(Problem)), state=(state, a(DescentState)))
         samples = problem.samples
         if samples is None:
             samples = max(2, 2 * round(PATHS_PER_ITERATION / len(problem.active) / 2))

@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from cloudtomo_cl.arguments import a, require_kinds
 from cloudtomo_cl.blas import with_one_blas_thread
 from cloudtomo_cl.inversion.annealing import InnerProblem, annealed, rescaled
 from cloudtomo_cl.inversion.data_term import DataTerm, ResidualWeights
@@ -24,7 +25,7 @@ from cloudtomo_cl.inversion.outliers import Outlier
 from cloudtomo_cl.inversion.prior_terms import hessian_of
 from cloudtomo_cl.inversion.problem import Problem
 from cloudtomo_cl.inversion.relative_prior import mean_extinction
-from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient
+from cloudtomo_cl.inversion.solvers.protocol import Progress, check_gradient, start_of
 from cloudtomo_cl.inversion.solvers.state import not_saved, of_any_length
 from cloudtomo_cl.inversion.stage_prior import FrozenPrior
 from cloudtomo_cl.inversion.stencil import stencil_footprint
@@ -154,7 +155,7 @@ class GaussNewton:
 
     def init(self, problem: Problem, extinction: np.ndarray) -> GaussNewtonState:
         """The state before the first iteration; see `Solver`."""
-        start = np.array(extinction, float)
+        start = np.array(start_of(self, problem, extinction))
         pixels, voxels = len(problem.active), len(start)
         nothing, none = np.zeros(pixels), np.zeros((0, voxels), np.float32)
         motions = np.zeros_like(problem.active.calibration.motion_errors)
@@ -173,6 +174,7 @@ class GaussNewton:
         ------
         TransportError : a derivative is not finite
         """
+        require_kinds("step", problem=(problem, a(Problem)), state=(state, a(GaussNewtonState)))
         problem = self._sampled(problem)
         derivatives = _derivatives_of(problem, state, seed)
         seen = problem.with_motions(state.motions)

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from cloudtomo_cl.arguments import able
+from cloudtomo_cl.arguments import a, able, require_kinds
 from cloudtomo_cl.errors import TransportError
 from cloudtomo_cl.inversion.problem import Problem
 
@@ -58,6 +58,17 @@ class Solver(Protocol):
 
 # What `solver` may be in functions' arguments.
 SOLVER = able("a solver, for instance GaussNewton() or Adam(), or an object with init and step", "init", "step")
+
+
+def start_of(solver: Any, problem: Problem, extinction: np.ndarray) -> np.ndarray:
+    """The extinction that a solver starts a problem from, checked: km^-1, shape (voxels,), double precision.
+
+    Raises
+    ------
+    DataError : extinction of another shape; an argument of `init` is of another kind (InvalidArgumentError)
+    """
+    require_kinds(f"{type(solver).__name__}.init", problem=(problem, a(Problem)))
+    return problem.checked(extinction, "extinction")
 
 
 def check_gradient(gradient: np.ndarray, problem: Problem, stream: int) -> None:
