@@ -17,9 +17,10 @@ from cloudtomo_cl.renamed import renamed_arguments
 from cloudtomo_cl.scene.grid import Count, Grid
 from cloudtomo_cl.scene.scene import NotNegative
 
-# Voxels along the longest axis in the first stage, and their growth from stage to stage.
-_COARSEST = 6
-_GROWTH = 1.8
+# Voxels of the first stage along the axis that has most, if the grid's are cubes, and otherwise at most; and along any
+# axis at least. By what they shrink from stage to stage.
+_COARSEST, _MOST, _FEWEST = 6, 12, 4
+_SHRINKAGE = 1.8
 # Two windows' mean costs differ if they do by more standard errors than this. As images are averaged
 # over iterations, the costs of a window are correlated, so that noise passes for progress more often
 # than the 2.5 % of independent costs: a stage then ends later.
@@ -52,23 +53,26 @@ class Stage:
 
 @renamed_arguments(method="solver: a GaussNewton, Adam or SGD", iterations="iterations of the solver")
 def automatic_stages(grid: Grid, solver: Any = None) -> tuple[Stage, ...]:
-    """Stages that grow by a factor of about 1.8 from 6 voxels along the longest axis.
+    """Stages whose voxels shrink by a factor of about 1.8, from 6 to 12 along the domain's longest side.
 
-    Shorter axes stay in proportion, but have at least 4 voxels, or all if the grid has fewer.
-    Images have about two pixels per voxel, up to all that were measured. The solver says how many iterations
-    a stage has (`GaussNewton`, the default, needs few, a descent many).
+    Coarse voxels are cubes also where the grid's own are not, as far as the grid allows
+    (docs/decisions/coarse-voxels.md): no axis has more than its own voxels, and none fewer than 4 unless it has fewer.
+    Images have about two pixels per voxel, up to all that were measured. The solver says how many iterations a stage
+    has (`GaussNewton`, the default, needs few, a descent many).
     """
     require_kinds("automatic_stages", grid=(grid, a(Grid)), solver=(solver, SOLVER.or_none()))
     limits = getattr(solver, "stage_limits", _stage_limits)
-    longest = max(grid.shape)
-    count = max(0, round(np.log(longest / _COARSEST) / np.log(_GROWTH))) + 1
-    shares = np.minimum((_COARSEST / longest) ** np.linspace(1, 0, count), 1.0) if count > 1 else np.ones(1)
+    shortest = min(grid.spacing)
+    first = max(max(grid.shape) / _COARSEST, max(grid.extent) / shortest / _MOST, 1.0)
+    *coarse, _ = np.geomspace(first, 1, max(0, round(np.log(first) / np.log(_SHRINKAGE))) + 1)
     stages = []
-    for share in shares:
-        nx, ny, nz = (min(n, max(4, round(n * share))) for n in grid.shape)
-        iterations, window = limits(share == shares[-1])
-        stages.append(Stage(grid=(nx, ny, nz), pixels=min(1.0, 2 * share), iterations=iterations, window=window))
-    return tuple(stages)
+    for side in coarse:  # of a cube, in units of the shortest side of a voxel
+        cubes = (round(length / (side * shortest)) for length in grid.extent)
+        nx, ny, nz = (min(voxels, max(_FEWEST, count)) for voxels, count in zip(grid.shape, cubes))
+        iterations, window = limits(False)
+        stages.append(Stage(grid=(nx, ny, nz), pixels=min(1.0, 2 / side), iterations=iterations, window=window))
+    iterations, window = limits(True)
+    return (*stages, Stage(grid=grid.shape, iterations=iterations, window=window))
 
 
 def _stage_limits(last: bool) -> tuple[int, int]:

@@ -20,6 +20,27 @@ def test_stages_grow():
     assert len(grids) > 3 and all(a < b and c <= d for (a, _, c), (b, _, d) in zip(grids, grids[1:]))
 
 
+@pytest.mark.parametrize("spacing", [(1, 1, 2), (1, 1, 0.4), (3, 1, 1)])
+def test_coarse_voxels_are_cubes(spacing):
+    grid = Grid(shape=(60, 60, 60), spacing=spacing)
+    for stage in automatic_stages(grid)[:-1]:
+        sides = np.divide(grid.extent, stage.grid)
+        free = [4 < voxels < 60 for voxels in stage.grid]  # else as cubic as the grid allows
+        assert sides[free].max() < 1.15 * sides[free].min(), stage.grid
+
+
+@pytest.mark.parametrize("shape", [(60, 60, 60), (86, 86, 27), (8, 8, 200), (300, 2, 50)])
+@pytest.mark.parametrize("spacing", [(1, 1, 1), (1, 1, 2), (1, 1, 0.1), (0.02, 0.04, 0.02)])
+def test_the_first_stage_is_coarse_whatever_the_shape_of_voxels(shape, spacing):
+    first = automatic_stages(Grid(shape=shape, spacing=spacing))[0]
+    assert 5 <= max(first.grid) <= 12
+
+
+def test_a_grid_of_cubes_stays_in_proportion():
+    grids = [stage.grid for stage in automatic_stages(Grid(shape=(38, 38, 38), spacing=(0.02, 0.02, 0.02)))]
+    assert grids == [(6, 6, 6), (11, 11, 11), (21, 21, 21), (38, 38, 38)]
+
+
 def test_descents_have_more_iterations_than_gauss_newton():
     grid = Grid(shape=(38, 38, 38), spacing=(1, 1, 1))
     newton, adam = automatic_stages(grid), automatic_stages(grid, Adam())
