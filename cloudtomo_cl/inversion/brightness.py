@@ -9,9 +9,10 @@ from cloudtomo_cl.scene.measurements import Measurements
 from cloudtomo_cl.scene.scene import Scene
 from cloudtomo_cl.scene.sights import towards_sensor
 
-# Radiance over the sun's irradiance, sr^-1: clouds and ground that reflect all light have some 1 / pi. Of views that
-# look nearer to the sun than so many degrees, where phase functions have peaks, nothing is said.
-_BRIGHTEST, _NEAREST_TO_SUN = 3.0, 60.0
+# Radiance over the sun's irradiance, sr^-1: clouds and ground that reflect all light have some 1 / pi. More than the
+# first is doubtful, more than the second impossible. Of views that look nearer to the sun than so many degrees, where
+# phase functions have peaks, nothing is said.
+_BRIGHT, _BRIGHTEST, _NEAREST_TO_SUN = 1.0, 3.0, 60.0
 # That of an image is a percentile, so that broken pixels do not count.
 _PERCENTILE = 95.0
 # An optical depth of 1e-4 has some 1e-6; what is far below even that has no cloud, and squares that single precision
@@ -22,7 +23,7 @@ _HINT = "check the radiances' unit, W m^-2 sr^-1, and sun.irradiance, W m^-2 (at
 
 
 def brightness_text(scene: Scene, measurements: Measurements) -> str:
-    """A text that says that the images are too dark to show a cloud; empty if they are not.
+    """A text that says that the images are too bright or too dark for a cloud; empty if they are not.
 
     Raises
     ------
@@ -34,11 +35,14 @@ def brightness_text(scene: Scene, measurements: Measurements) -> str:
         for view, image in zip(measurements.views, measurements.images)
         if -towards_sensor(view, scene.grid) @ scene.sun.direction <= np.cos(np.radians(_NEAREST_TO_SUN))
     ]
-    if away and (typical := float(np.median(away))) > _BRIGHTEST * sun:
-        raise DataError(
+    if away and (typical := float(np.median(away))) > _BRIGHT * sun:
+        text = (
             f"the images have radiances of {typical:.3g} W m^-2 sr^-1, {typical / sun:.3g} times the sun's irradiance "
             f"of {sun:g} W m^-2: a cloud that reflects all light has some 0.3 times: {_HINT}"
         )
+        if typical > _BRIGHTEST * sun:
+            raise DataError(text)
+        return text
     brightest = max(float(np.nanmax(image)) for image in measurements.images)
     if not 0 < brightest < max(_FAINT * sun, _LEAST):
         return ""  # images without a radiance above 0 are refused elsewhere

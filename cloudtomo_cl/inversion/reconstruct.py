@@ -132,8 +132,8 @@ def reconstruct(
         Known with Gauss-Newton, when the last stage was reached, the images' noise is known, and nobody asked to stop
 
     Warns of voxels of a shape that the patch prior was not learnt from, of memory that a deep cloud may not find, of
-    images too dark to show a cloud, of pixels that seem to be saturated or stuck, and of voxels that may hold cloud and
-    are in no image (RecoveryWarning).
+    images too bright or too dark for a cloud, of pixels that seem to be saturated or stuck, and of voxels that may hold
+    cloud and are in no image (RecoveryWarning).
 
     Raises
     ------

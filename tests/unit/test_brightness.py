@@ -57,6 +57,12 @@ def test_images_that_are_much_too_dark_are_warned_of(device):
         ct.reconstruct(scene(), measured, stages, mask=CLOUD > 0, device=device, uncertainty=0)
 
 
+def test_images_that_are_somewhat_too_bright_are_warned_of(device):
+    measured, stages = times(images(scene(), device), 100), [ct.Stage(grid=(4, 4, 4), iterations=1, samples=4)]
+    with pytest.warns(ct.RecoveryWarning, match="a cloud that reflects all light has some 0.3 times: check the radia"):
+        ct.reconstruct(scene(), measured, stages, mask=CLOUD > 0, device=device, uncertainty=0)
+
+
 @pytest.mark.parametrize(
     "of",
     [scene(), scene(asymmetry=0.0), scene(asymmetry=-0.9), scene(ground=1.0), scene(zenith=85.0), scene(1800.0)],
