@@ -22,7 +22,6 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from cloudtomo_cl.arguments import PATH, require_kinds
 from cloudtomo_cl.errors import DataError
-from cloudtomo_cl.files.netcdf import as_json
 from cloudtomo_cl.files.whole import written_whole
 from cloudtomo_cl.inversion.mixture_file import read_mixtures
 from cloudtomo_cl.inversion.priors import PatchPrior
@@ -80,7 +79,7 @@ class Checkpoint:
 
     def check(self, identity: dict[str, Any]) -> None:
         """Raises DataError, which names every key that differs, if a run has another identity."""
-        differences = _differences(self.identity, json.loads(as_json("the identity", identity)))
+        differences = _differences(self.identity, json.loads(json.dumps(identity)))
         if differences:
             raise DataError(
                 "the checkpoint is of another run:\n  "

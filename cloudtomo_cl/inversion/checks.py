@@ -21,6 +21,7 @@ from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.inversion.solvers.protocol import SOLVER, Solver
 from cloudtomo_cl.inversion.stages import Stage, stages_of
 from cloudtomo_cl.inversion.stuck_pixels import stuck_text
+from cloudtomo_cl.inversion.uncertainty import MOST_DRAWS
 from cloudtomo_cl.memory import shape_text
 from cloudtomo_cl.opencl.device import Device
 from cloudtomo_cl.parallel.ranks import Ranks
@@ -38,8 +39,6 @@ from cloudtomo_cl.scene.visibility import voxels_in_view
 _LEAST_START, _MOST_START = 1e-3, 1000.0
 # Largest share of the voxels that may hold cloud, but are in no image, of which nothing is said.
 _LARGEST_UNSEEN = 0.01
-# Far more draws than standard errors need.
-_MOST_DRAWS = 10_000
 # What to do where memory is short.
 _FEWER = "choose a coarser [grid] or [[stage]], or fewer samples or pixels"
 
@@ -128,9 +127,9 @@ def check_ends(time_limit: Any, checkpoint_interval: Any, uncertainty: Any) -> N
     for name, value in seconds.items():
         if not (NUMBER.fits(value) and float(value) >= 0) and not (name == "time_limit" and value is None):
             raise DataError(f"{name} is {value!r}: it must be a number of seconds, at least 0")
-    if not (WHOLE.fits(uncertainty) and 0 <= uncertainty <= _MOST_DRAWS):
+    if not (WHOLE.fits(uncertainty) and 0 <= uncertainty <= MOST_DRAWS):
         raise DataError(
-            f"uncertainty is {uncertainty!r}: it must be a whole number of draws, at least 0 and at most {_MOST_DRAWS}"
+            f"uncertainty is {uncertainty!r}: it must be a whole number of draws, at least 0 and at most {MOST_DRAWS}"
         )
 
 

@@ -83,11 +83,13 @@ def _stage_limits(last: bool) -> tuple[int, int]:
 
 def stages_of(grid: Grid, stages: Sequence[Stage] | None, solver: Any) -> tuple[Stage, ...]:
     """The given stages, or automatic ones. Raises DataError for none, or if it is not clear which iterations count."""
-    if stages is not None and not len(stages):
+    if stages is None:
+        return automatic_stages(grid, solver)
+    if not len(stages):
         raise DataError("stages is empty: give at least one Stage, or None for automatic ones")
-    if stages and getattr(solver, "iterations", None) is not None:
+    if getattr(solver, "iterations", None) is not None:
         raise DataError("solver.iterations is for automatic stages: give those of each [[stage]], or no [[stage]]")
-    return tuple(stages or automatic_stages(grid, solver))
+    return tuple(stages)
 
 
 def has_settled(costs: Sequence[float], standard_errors: Sequence[float], window: int) -> bool:

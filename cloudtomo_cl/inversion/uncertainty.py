@@ -6,8 +6,8 @@ import numpy as np
 
 from cloudtomo_cl.inversion.noisy_model import NoisyModel
 
-# Default number of draws for the standard error, in Python and on the command line.
-DRAWS = 24
+# Draws for the standard error, in Python and on the command line: by default, and at most (far more than it needs).
+DRAWS, MOST_DRAWS = 24, 10_000
 # Factor from the draws' standard deviation to a recovery's standard error where images are fitted and voxels are thin
 # (`widening`): draws do not include the bias of the prior and the derivatives (docs/measurements/uncertainty.md).
 WIDENED = 2.0

@@ -17,15 +17,20 @@ from cloudtomo_cl.memory import require
 from cloudtomo_cl.messages import answering
 from cloudtomo_cl.scene.grid import Coordinate, Length, Triple
 from cloudtomo_cl.scene.scene import Angle
-from cloudtomo_cl.scene.sensors import OrthographicView, PerspectiveView, Pixels, PushBroomView, RayView
+from cloudtomo_cl.scene.sensors import (
+    BYTES_PER_RAY,
+    OrthographicView,
+    PerspectiveView,
+    Pixels,
+    PushBroomView,
+    RayView,
+)
 
 AlongTrackAngle = Annotated[float, Field(gt=-90, lt=90)]
 AlongTrackAngles = Annotated[tuple[AlongTrackAngle, ...], Field(min_length=1, max_length=10_000)]
 
 # Far more than any campaign flies; every camera is an object with its own image.
 _MOST_CAMERAS = 10_000
-# Arrays of an all-sky camera that live at the same time, for each pixel of the square around its circle.
-_BYTES_PER_RAY = 160
 # View angles at the ground, degrees from nadir, of MISR's nine cameras Df to Da.
 # Source: Diner et al. 1998, IEEE Trans. Geosci. Remote Sens. 36, 1072-1087.
 MISR_ANGLES = (70.5, 60.0, 45.6, 26.1, 0.0, -26.1, -45.6, -60.0, -70.5)
@@ -210,9 +215,8 @@ def fisheye_rays(position: Triple, pixels: int, field_of_view: float = 180.0) ->
         raise InvalidSettingError(f"pixels is {pixels}: it must be a whole number of at least 1")
     if not 0 < field_of_view <= 180:
         raise InvalidSettingError(f"field_of_view is {field_of_view}: it must be above 0 and at most 180 degrees")
-    require(
-        _BYTES_PER_RAY * float(pixels) * float(pixels), f"an all-sky camera of {pixels:g} pixels across", "use fewer"
-    )
+    square = float(pixels) * float(pixels)  # around the circle
+    require(BYTES_PER_RAY * square, f"an all-sky camera of {pixels:g} pixels across", "use fewer")
     places = (2 * np.arange(pixels) + 1) / pixels - 1
     east, north = np.meshgrid(-places, -places)
     distance = np.hypot(east, north)

@@ -10,15 +10,15 @@ from cloudtomo_cl.arguments import WHOLE, require_kinds, several
 from cloudtomo_cl.errors import DataError
 from cloudtomo_cl.memory import require, shape_text, voxels_of
 from cloudtomo_cl.scene.arrays import as_numbers
-from cloudtomo_cl.scene.sensors import PerspectiveView, Pixels, RayView
+from cloudtomo_cl.scene.sensors import BYTES_PER_RAY, PerspectiveView, Pixels, RayView
 
 # Allowed rounding error of a rotation, for matrices in single precision.
 _ROUNDING = 1e-5
 # Distance, in pixels, up to which a principal point counts as the image's centre.
 _CENTRED = 1e-6
 _MOST_COEFFICIENTS = 5
-# Of an image, and of arrays that live at the same time while rays are made.
-_BYTES_PER_PIXEL, _BYTES_PER_RAY = 8, 160
+# Of an image.
+_BYTES_PER_PIXEL = 8
 # Largest number of fixed-point iterations that undo a distortion, and the residual, in pixels, at which they end.
 _ITERATIONS, _UNDONE = 100, 1e-8
 
@@ -78,7 +78,7 @@ def camera_from_pose(
             pixels=pixels,
             aspect=float(aspect),
         )
-    _require_memory(_BYTES_PER_RAY, pixels)
+    _require_memory(BYTES_PER_RAY, pixels)
     columns, rows = np.meshgrid(np.arange(width), np.arange(height))
     plane = _undistorted(columns.ravel(), rows.ravel(), k, coefficients)
     directions = np.column_stack([*plane, np.ones(width * height)]) @ r

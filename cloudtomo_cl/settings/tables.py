@@ -33,7 +33,7 @@ from cloudtomo_cl.inversion.priors import PatchPrior, Prior
 from cloudtomo_cl.inversion.solvers.choice import SolverTable, of_default_type
 from cloudtomo_cl.inversion.solvers.gauss_newton import GaussNewton
 from cloudtomo_cl.inversion.stages import Stage
-from cloudtomo_cl.inversion.uncertainty import DRAWS
+from cloudtomo_cl.inversion.uncertainty import DRAWS, MOST_DRAWS
 from cloudtomo_cl.messages import error_text, lines_of
 from cloudtomo_cl.scene.formations import RingOfViews, StringOfScans, StringOfViews
 from cloudtomo_cl.scene.grid import Grid
@@ -203,7 +203,7 @@ class Run:
     seed: Seed = 0
     time_limit: Positive | None = None
     checkpoint_interval: NotNegative = 60.0
-    uncertainty: Annotated[int, Field(ge=0, le=10_000)] = DRAWS
+    uncertainty: Annotated[int, Field(ge=0, le=MOST_DRAWS)] = DRAWS
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
